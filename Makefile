@@ -1,0 +1,54 @@
+# Everything happens in a virtual environment of this folder's own; nothing else needs to be installed but Python 3.11 or newer.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STORE ?= results
+
+.PHONY: help demo test test-slow test-cluster test-gpu check format bench clean
+
+help:  ## list the targets
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*##/\t/' | expand -t 16
+
+demo: $(VENV)/installed  ## train the quickstart study, draw its sensitivity regions, answer one question in SQL
+	$(BIN)/sweep launch quickstart --store $(STORE)
+	$(BIN)/sweep analyze --figure 7.1 --store $(STORE) --out figures
+	$(BIN)/sweep sql --store $(STORE) "SELECT agent, critic_step_size, round(low) AS worst_entropy_scale, round(high) AS best_entropy_scale FROM sensitivity_regions ORDER BY ALL"
+
+test: $(VENV)/installed-dev  ## the default tests, under ten minutes on two cores
+	$(BIN)/python -m pytest -n 2
+
+test-slow: $(VENV)/installed-dev  ## learning at the published level and whatever else takes minutes
+	$(BIN)/python -m pytest -m "slow or statistical" -s
+
+test-cluster: $(VENV)/installed-dev  ## tests that kill processes
+	$(BIN)/python -m pytest -m cluster
+
+test-gpu: $(VENV)/installed-dev  ## tests that need a CUDA device
+	$(BIN)/python -m pytest -m gpu
+
+check: $(VENV)/installed-dev  ## format, lint, types, import contracts, tests
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports --no-logo
+	$(BIN)/python -m pytest -n 2
+
+format: $(VENV)/installed-dev  ## format the code and mend what the linter can
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+bench: $(VENV)/installed-dev  ## agent-steps a second: populations against a plain single agent
+	$(BIN)/python tests/benchmarks/training_speed.py
+
+clean:  ## remove the virtual environment and caches, never results
+	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+
+$(VENV)/installed: pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --editable .
+	touch $@
+
+$(VENV)/installed-dev: pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --editable '.[dev]'
+	touch $@ $(VENV)/installed

@@ -1,0 +1,34 @@
+"""What an algorithm is to the training loop."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from torch import Tensor
+
+from agents.policies import Continuous
+from agents.population import Population
+from agents.replay import Batch
+from agents.rng import RandomStream
+
+
+@dataclass(frozen=True)
+class Task:
+    """What an algorithm is told of the environment: the size S of an observation, the actions, and the discount γ."""
+
+    observation_size: int
+    actions: Continuous
+    discount: float
+
+
+class Algorithm(Protocol):
+    """P agents that act and learn in lock-step. Every number must depend on one agent only."""
+
+    def __init__(self, population: Population, task: Task, stream: RandomStream) -> None: ...
+
+    def act(self, observations: Tensor, step: int) -> Tensor:
+        """Return the actions [P, A] for observations [P, S] at this step."""
+        ...
+
+    def update(self, batch: Batch, step: int) -> Tensor:
+        """Learn from a batch and return the critic's loss [P]; an agent whose loss is not finite has diverged."""
+        ...

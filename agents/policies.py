@@ -1,0 +1,126 @@
+"""Policies for continuous actions as functions of an actor network's outputs, with their gradients in closed form.
+
+A policy is conditioned on outputs [P, B, 2A] (a head for the mean, one for ln σ) and then sampled and differentiated.
+Gradients are with respect to the outputs, so that they can be handed to the actor's `backward`.
+
+Symbols: m and ℓ the two heads' outputs, μ the mean, σ the standard deviation, x an action before squashing, a an action.
+ln σ = clamp(ℓ, ±ln 1000), with gradient zero where ℓ is outside.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+_LOG_STD_LIMIT = math.log(1000)
+_HALF_LOG_2_PI = 0.5 * math.log(2 * math.pi)
+_SQUASH_EPSILON = 1e-6
+
+
+@dataclass(frozen=True)
+class Continuous:
+    """A box of actions: bounds `low` and `high`, one number a dimension."""
+
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+
+    @property
+    def size(self) -> int:
+        """A, the number of dimensions."""
+        return len(self.low)
+
+
+class Gaussian:
+    """Normal distribution whose mean is squashed into the action range and whose samples are clamped to it.
+
+    μ = low + (tanh m + 1)/2 · (high − low). ln π(a) is the density of the un-truncated normal at the clamped action: what the
+    thesis' author uses for GreedyAC and VanillaAC.
+    """
+
+    def __init__(self, space: Continuous, outputs: Tensor) -> None:
+        """Condition on outputs [P, B, 2A] of an actor network."""
+        A = space.size
+        self._low, self._high = _bounds(space, outputs.device)
+        self._tanh = torch.tanh(outputs[..., :A])
+        self._half_range = (self._high - self._low) / 2
+        self.mean = (self._tanh + 1).mul_(self._half_range).add_(self._low)
+        self.log_std, self._inside = _clamped_log_std(outputs[..., A:])
+        self.std = torch.exp(self.log_std)
+
+    def sample(self, noise: Tensor) -> Tensor:
+        """Return actions [P, B, N, A] within the bounds for standard normal noise of that shape."""
+        return torch.clamp(self.sample_unclamped(noise), self._low, self._high)
+
+    def sample_unclamped(self, noise: Tensor) -> Tensor:
+        """Return samples [P, B, N, A] of the normal distribution itself, which may lie outside the action range."""
+        return (noise * self.std.unsqueeze(2)).add_(self.mean.unsqueeze(2))
+
+    def log_prob(self, actions: Tensor) -> Tensor:
+        """Return ln π [P, B, N] of actions [P, B, N, A]."""
+        u = (actions - self.mean.unsqueeze(2)).div_(self.std.unsqueeze(2))
+        return (u.square_().mul_(-0.5) - self.log_std.unsqueeze(2)).sub_(_HALF_LOG_2_PI).sum(-1)
+
+    def log_prob_gradient(self, actions: Tensor, weights: Tensor) -> Tensor:
+        """Return ∂/∂outputs of Σ_n w_n ln π(a_n) [P, B, 2A], for actions [P, B, N, A] and constant weights [P, B, N] (or 1)."""
+        u = (actions - self.mean.unsqueeze(2)).div_(self.std.unsqueeze(2))
+        weights = weights.unsqueeze(-1)
+        of_mean = (u * weights).sum(2).div_(self.std)
+        of_log_std = (u.square_().sub_(1).mul_(weights)).sum(2)
+        return self._of_outputs(of_mean, of_log_std)
+
+    def entropy_gradient(self) -> Tensor:
+        """Return ∂/∂outputs of the normal's entropy Σ ln σ + const [P, B, 2A]."""
+        return self._of_outputs(torch.zeros_like(self.mean), torch.ones_like(self.std))
+
+    def _of_outputs(self, of_mean: Tensor, of_log_std: Tensor) -> Tensor:
+        slope = (1 - self._tanh.square()).mul_(self._half_range)
+        return torch.cat([of_mean * slope, of_log_std * self._inside], dim=-1)
+
+
+class SquashedGaussian:
+    """Normal distribution squashed by tanh into the action range, for SAC (Haarnoja et al., 2018, appendix C).
+
+    x = m + σ·ε, a = scale·tanh x + bias, ln π(a) = ln N(x) − Σ ln(scale·(1 − tanh² x) + 1e-6).
+    """
+
+    def __init__(self, space: Continuous, outputs: Tensor) -> None:
+        """Condition on outputs [P, B, 2A] of an actor network."""
+        A = space.size
+        low, high = _bounds(space, outputs.device)
+        self._scale, self._bias = (high - low) / 2, (high + low) / 2
+        self.mean = outputs[..., :A]
+        self.log_std, self._inside = _clamped_log_std(outputs[..., A:])
+        self.std = torch.exp(self.log_std)
+
+    def sample(self, noise: Tensor) -> "SquashedSample":
+        """Return the sample at standard normal noise [P, B, A]."""
+        return SquashedSample(self, noise)
+
+
+class SquashedSample:
+    """One reparameterized sample a state: `actions` [P, B, A], `log_prob` [P, B, 1], and their gradients."""
+
+    def __init__(self, policy: SquashedGaussian, noise: Tensor) -> None:
+        self._policy, self._noise = policy, noise
+        self._tanh = torch.tanh(policy.mean + policy.std * noise)
+        self._slope = (1 - self._tanh.square()).mul_(policy._scale)  # ∂a/∂x
+        self.actions = self._tanh * policy._scale + policy._bias
+        log_normal = -0.5 * noise.square() - policy.log_std - _HALF_LOG_2_PI
+        self.log_prob = (log_normal - torch.log(self._slope + _SQUASH_EPSILON)).sum(-1, keepdim=True)
+
+    def gradient(self, of_actions: Tensor, of_log_prob: Tensor) -> Tensor:
+        """Return ∂L/∂outputs [P, B, 2A] from ∂L/∂actions [P, B, A] and ∂L/∂ln π [P, B, 1], the noise held fixed."""
+        policy = self._policy
+        log_prob_slope = 2 * self._tanh * self._slope / (self._slope + _SQUASH_EPSILON)  # ∂ ln π/∂x
+        of_x = of_actions * self._slope + of_log_prob * log_prob_slope
+        of_log_std = of_x * policy.std * self._noise - of_log_prob
+        return torch.cat([of_x, of_log_std * policy._inside], dim=-1)
+
+
+def _clamped_log_std(raw: Tensor) -> tuple[Tensor, Tensor]:
+    return raw.clamp(-_LOG_STD_LIMIT, _LOG_STD_LIMIT), (raw.abs() <= _LOG_STD_LIMIT)
+
+
+def _bounds(space: Continuous, device: torch.device) -> tuple[Tensor, Tensor]:
+    return torch.tensor(space.low, device=device), torch.tensor(space.high, device=device)

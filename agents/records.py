@@ -1,0 +1,106 @@
+"""What training leaves behind: the episodes of every agent, as columns."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+ENDINGS = ("terminated", "truncated", "budget")
+_TERMINATED, _TRUNCATED, _BUDGET = range(3)
+_BLOCK_STEPS = 4096
+
+
+@dataclass(frozen=True)
+class Records:
+    """Episodes of P agents, sorted by agent and time; one entry an episode.
+
+    `agent` counts from 0, `episode` from 0, `first_step` from 1; `episodic_return` is float32, NaN from the episode on in which
+    the agent diverged; `ending` indexes ENDINGS. The lengths of an agent's episodes sum to `steps`. `diverged_at` [P] is
+    the step at which an agent's numbers stopped being finite, 0 if they never did.
+    """
+
+    steps: int
+    agent: np.ndarray
+    episode: np.ndarray
+    first_step: np.ndarray
+    length: np.ndarray
+    episodic_return: np.ndarray
+    ending: np.ndarray
+    diverged_at: np.ndarray
+
+
+class Recorder:
+    """Collects rewards step by step and turns them into episodes a block at a time: memory does not grow with the steps."""
+
+    def __init__(self, population: int, device: torch.device) -> None:
+        self._rewards = torch.zeros(_BLOCK_STEPS, population, dtype=torch.float64, device=device)
+        self._endings = torch.zeros(_BLOCK_STEPS, population, dtype=torch.uint8, device=device)
+        self._finite = torch.ones(_BLOCK_STEPS, population, dtype=torch.bool, device=device)
+        self._in_block = 0
+        self._steps = 0
+        self._partial_return = np.zeros(population)
+        self._first_step = np.ones(population, dtype=np.int64)
+        self._diverged_at = np.zeros(population, dtype=np.int64)
+        self._episodes: list[tuple[np.ndarray, ...]] = []
+
+    def add(self, rewards: Tensor, terminated: Tensor, truncated: Tensor, finite: Tensor) -> None:
+        """Add one step: rewards [P], how an episode ended with it [P] (bool), and whether the agents' numbers are finite [P]."""
+        i = self._in_block
+        self._rewards[i] = rewards
+        self._endings[i] = terminated + 2 * truncated.to(torch.uint8)
+        self._finite[i] = finite
+        self._in_block += 1
+        if self._in_block == _BLOCK_STEPS:
+            self._flush()
+
+    def _flush(self) -> None:
+        rewards = self._rewards[: self._in_block].cpu().numpy()
+        endings = self._endings[: self._in_block].cpu().numpy()
+        finite = self._finite[: self._in_block].cpu().numpy()
+        first_bad = np.where(finite.all(axis=0), 0, self._steps + 1 + np.argmin(finite, axis=0))
+        self._diverged_at = np.where(self._diverged_at > 0, self._diverged_at, first_bad)
+        for agent in range(rewards.shape[1]):
+            self._flush_agent(agent, rewards[:, agent], endings[:, agent])
+        self._steps += self._in_block
+        self._in_block = 0
+
+    def _flush_agent(self, agent: int, rewards: np.ndarray, endings: np.ndarray) -> None:
+        (last,) = np.nonzero(endings)
+        rest = rewards
+        if len(last):
+            starts = np.concatenate([[0], last[:-1] + 1])
+            returns = np.add.reduceat(rewards[: last[-1] + 1], starts)
+            returns[0] += self._partial_return[agent]
+            last_step = self._steps + last + 1
+            first_step = np.concatenate([[self._first_step[agent]], last_step[:-1] + 1])
+            codes = endings[last] - 1
+            self._episodes.append((np.full(len(last), agent), first_step, last_step - first_step + 1, returns, codes))
+            self._first_step[agent] = last_step[-1] + 1
+            self._partial_return[agent] = 0.0
+            rest = rewards[last[-1] + 1 :]
+        self._partial_return[agent] += rest.sum()
+
+    def finish(self) -> Records:
+        """Return the records; an unfinished last episode ends by the budget."""
+        if self._in_block:
+            self._flush()
+        (open_,) = np.nonzero(self._first_step <= self._steps)
+        first = self._first_step[open_]
+        rest = (open_, first, self._steps - first + 1, self._partial_return[open_], np.full(len(open_), _BUDGET))
+        agent, first, length, returns, ending = map(np.concatenate, zip(*self._episodes, rest, strict=True))
+        order = np.lexsort((first, agent))
+        agent, first, length, returns, ending = (x[order] for x in (agent, first, length, returns, ending))
+        starts = np.searchsorted(agent, np.arange(len(self._diverged_at)))
+        diverged_at = self._diverged_at[agent]
+        returns = np.where((diverged_at > 0) & (first + length - 1 >= diverged_at), np.nan, returns)
+        return Records(
+            steps=self._steps,
+            agent=agent.astype(np.int32),
+            episode=(np.arange(len(agent)) - starts[agent]).astype(np.int32),
+            first_step=first.astype(np.int32),
+            length=length.astype(np.int32),
+            episodic_return=returns.astype(np.float32),
+            ending=ending.astype(np.uint8),
+            diverged_at=self._diverged_at,
+        )

@@ -1,0 +1,61 @@
+"""A ring buffer of transitions for every agent of a population, filled and sampled in lock-step."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from agents.rng import Purpose, RandomStream
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Transitions sampled by each agent, views of one tensor.
+
+    `states` [P, B, S], `actions` [P, B, A], `rewards` and `continues` [P, B, 1] (0 where the transition terminated, else 1:
+    a cutoff bootstraps), `next_states` [P, B, S]: the true successors, never a reset state. `states_actions` [P, B, S + A].
+    """
+
+    states: Tensor
+    actions: Tensor
+    states_actions: Tensor
+    rewards: Tensor
+    continues: Tensor
+    next_states: Tensor
+
+
+class Replay:
+    """Transitions (S, A, R, continues, S') of P agents: [P, capacity, 2S + A + 2]."""
+
+    def __init__(self, population: int, capacity: int, state_size: int, action_size: int, device: torch.device) -> None:
+        self.capacity, self.state_size, self.action_size = capacity, state_size, action_size
+        self.width = 2 * state_size + action_size + 2
+        self.rows = torch.zeros(population, capacity, self.width, device=device)
+        self.num_added = 0
+        self._first_row = torch.arange(population, device=device)[:, None] * capacity
+
+    def add(self, states: Tensor, actions: Tensor, rewards: Tensor, terminated: Tensor, next_states: Tensor) -> None:
+        """Add one transition an agent: [P, S], [P, A], [P], [P] (bool), [P, S]; the oldest gives way when full."""
+        row = self.rows[:, self.num_added % self.capacity]
+        S, A = self.state_size, self.action_size
+        row[:, :S] = states
+        row[:, S : S + A] = actions
+        row[:, S + A] = rewards
+        row[:, S + A + 1] = terminated.logical_not()
+        row[:, S + A + 2 :] = next_states
+        self.num_added += 1
+
+    def sample(self, stream: RandomStream, step: int, batch_size: int) -> Batch:
+        """Draw `batch_size` transitions an agent, uniformly with replacement."""
+        size = min(self.num_added, self.capacity)
+        indices = stream.integers(Purpose.MINIBATCH, step, batch_size, size) + self._first_row
+        rows = self.rows.view(-1, self.width).index_select(0, indices.view(-1)).view(*indices.shape, self.width)
+        S, A = self.state_size, self.action_size
+        return Batch(
+            states=rows[..., :S],
+            actions=rows[..., S : S + A],
+            states_actions=rows[..., : S + A],
+            rewards=rows[..., S + A : S + A + 1],
+            continues=rows[..., S + A + 1 : S + A + 2],
+            next_states=rows[..., S + A + 2 :],
+        )

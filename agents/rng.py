@@ -1,0 +1,108 @@
+"""One counter-based random stream an agent, independent of who is trained beside it.
+
+Philox4x32-10 (Salmon et al., "Parallel Random Numbers: As Easy as 1, 2, 3", SC 2011) with the agent's seed as the key and
+(block, step, purpose, 0) as the counter: a number depends on (seed, purpose, step, index) and on nothing else. Nothing is
+stored, so nothing has to be saved or restored, and drawing more numbers for one purpose moves no other.
+
+Numbers come in groups of 64: group g holds the four words of the 16 counters 16g … 16g + 15, word by word.
+"""
+
+import math
+from enum import IntEnum
+
+import torch
+from torch import Tensor
+
+_LANES = 16
+_WORD = 0xFFFFFFFF
+_MULTIPLIERS = (0xD2511F53, 0xCD9E8D57)
+_KEY_INCREMENTS = (0x9E3779B9, 0xBB67AE85)
+_BLOCK_ELEMENTS = 1 << 15
+
+
+class Purpose(IntEnum):
+    """What a random number is for: streams of different purposes never meet."""
+
+    INITIAL_WEIGHTS = 0
+    START_STATE = 1
+    ACTION = 2
+    MINIBATCH = 3
+    NEXT_ACTION = 4
+    POLICY_UPDATE = 5
+    ENTROPY = 6
+
+
+def philox(key: Tensor, counter: tuple[Tensor, Tensor, Tensor, Tensor]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Return the four 32-bit words (as int64) of Philox4x32-10 for int64 keys and counters that broadcast together."""
+    k0, k1 = key & _WORD, (key >> 32) & _WORD
+    c0, c1, c2, c3 = counter
+    for _ in range(10):
+        product0, product1 = c0 * _MULTIPLIERS[0], c2 * _MULTIPLIERS[1]  # modulo 2^64; the words are the same
+        c0, c1, c2, c3 = (
+            ((product1 >> 32) & _WORD) ^ c1 ^ k0,
+            product1 & _WORD,
+            ((product0 >> 32) & _WORD) ^ c3 ^ k1,
+            product0 & _WORD,
+        )
+        k0, k1 = (k0 + _KEY_INCREMENTS[0]) & _WORD, (k1 + _KEY_INCREMENTS[1]) & _WORD
+    return c0, c1, c2, c3
+
+
+class RandomStream:
+    """The random streams of P agents.
+
+    Drawing is stateless: the same (purpose, step, shape) gives the same numbers again. Blocks of consecutive steps are
+    computed at once and kept, because training asks for one step after another.
+    """
+
+    def __init__(self, seeds: Tensor) -> None:
+        """Take the agents' seeds [P] (int64, ≥ 0)."""
+        self.seeds = seeds
+        self._blocks: dict[tuple[str, int, int], tuple[int, Tensor]] = {}
+
+    def words(self, purpose: int, first_step: int, num_steps: int, count: int) -> Tensor:
+        """Return 32-bit words as int64 [P, num_steps, ⌈count / 64⌉, 4, 16] for `num_steps` steps from `first_step`."""
+        groups = -(-count // (4 * _LANES))
+        device = self.seeds.device
+        key = self.seeds[:, None, None]
+        block = torch.arange(groups * _LANES, device=device)[None, None, :]
+        step = torch.arange(first_step, first_step + num_steps, device=device)[None, :, None]
+        zero = torch.zeros((), dtype=torch.int64, device=device)
+        words = philox(key, (block, step, zero + int(purpose), zero))
+        shape = (len(self.seeds), num_steps, groups, _LANES)
+        return torch.stack([word.expand(shape[0], num_steps, groups * _LANES).view(shape) for word in words], dim=3)
+
+    def uniforms(self, purpose: int, step: int, count: int) -> Tensor:
+        """Return float32 [P, count], uniform on the open interval (0, 1), 2^24 equally spaced values."""
+        return self._at(step, "uniform", purpose, count)
+
+    def normals(self, purpose: int, step: int, count: int) -> Tensor:
+        """Return float32 [P, count], standard normal (Box–Muller on pairs of words)."""
+        return self._at(step, "normal", purpose, count)
+
+    def integers(self, purpose: int, step: int, count: int, high: int) -> Tensor:
+        """Return int64 [P, count], uniform on 0 … high − 1 (multiply-shift; bias below high / 2^32)."""
+        return (self._at(step, "word", purpose, count) * high) >> 32
+
+    def _at(self, step: int, kind: str, purpose: int, count: int) -> Tensor:
+        first, block = self._blocks.get((kind, purpose, count), (-1, None))
+        if block is None or not first <= step < first + block.shape[1]:
+            num_steps = max(1, min(64, _BLOCK_ELEMENTS // (len(self.seeds) * count)))
+            first, block = step, self._draw(kind, purpose, step, num_steps, count)
+            self._blocks[kind, purpose, count] = first, block
+        return block[:, step - first]
+
+    def _draw(self, kind: str, purpose: int, first_step: int, num_steps: int, count: int) -> Tensor:
+        words = self.words(purpose, first_step, num_steps, count)
+        if kind == "normal":
+            uniform = _open_uniform(words)
+            radius = torch.log(uniform[:, :, :, 0::2]).mul_(-2).sqrt_()
+            angle = uniform[:, :, :, 1::2] * (2 * math.pi)
+            values = torch.stack([radius * torch.cos(angle), radius * torch.sin(angle)], dim=3)  # [P, T, G, 2, 2, 16]
+        else:
+            values = words if kind == "word" else _open_uniform(words)
+        return values.flatten(2)[:, :, :count]
+
+
+def _open_uniform(words: Tensor) -> Tensor:
+    return (words >> 8).to(torch.float32).add_(0.5).mul_(2.0**-24)

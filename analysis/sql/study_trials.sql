@@ -1,0 +1,19 @@
+-- One row per (study, stage, trial).
+-- What each study needs and what became of it: `status` is 'missing' where the store has no such trial yet.
+-- Scores of a diverged trial are the environment's worst return; those of a failed or missing trial are NULL, as are
+-- those of a trial that completed no episode.
+SELECT
+    members.study,
+    members.stage,
+    members.trial,
+    members.setting,
+    members.agent,
+    members.environment,
+    members.seed,
+    COALESCE(trials.status, 'missing') AS status,
+    CASE trials.status WHEN 'finished' THEN trials.episode_mean WHEN 'diverged' THEN worst_return END AS episode_mean,
+    CASE trials.status WHEN 'finished' THEN trials.step_mean WHEN 'diverged' THEN worst_return END AS step_mean,
+    CASE trials.status WHEN 'finished' THEN trials.final_mean WHEN 'diverged' THEN worst_return END AS final_mean
+FROM members
+LEFT JOIN trials ON trials.trial = members.trial
+LEFT JOIN worst_returns ON worst_returns.environment = members.environment

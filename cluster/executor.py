@@ -1,0 +1,43 @@
+"""How shards get to workers: a protocol of three methods, and the executor that needs no cluster."""
+
+from collections import deque
+from typing import Protocol
+
+from cluster.worker import Receipt, Work, run_shard
+
+
+class Executor(Protocol):
+    """Runs shards somewhere. `slots` is how many can run at once."""
+
+    slots: int
+
+    def submit(self, work: Work) -> None:
+        """Accept a shard; it starts when a slot is free."""
+        ...
+
+    def wait(self, seconds: float) -> list[Receipt]:
+        """Return the receipts that have come in, after at most about `seconds` when there are none."""
+        ...
+
+    def close(self) -> None:
+        """Stop whatever still runs and free what the executor holds."""
+        ...
+
+
+class InProcessExecutor:
+    """Trains in this process, one shard after another: for tests, debugging and machines without Ray."""
+
+    slots = 1
+
+    def __init__(self) -> None:
+        self._queue: deque[Work] = deque()
+
+    def submit(self, work: Work) -> None:
+        self._queue.append(work)
+
+    def wait(self, seconds: float) -> list[Receipt]:
+        """Train the next shard to its end, however long it takes."""
+        return [run_shard(self._queue.popleft())] if self._queue else []
+
+    def close(self) -> None:
+        self._queue.clear()

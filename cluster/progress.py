@@ -1,0 +1,96 @@
+"""What a launch shows while it runs: a live table on a terminal, plain lines elsewhere."""
+
+import contextlib
+import time
+from collections.abc import Callable, Iterator, Sequence
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+from rich.progress import Progress as Bars
+
+from cluster.worker import Receipt
+from sweep.shards import Shard
+
+_PLAIN_SECONDS = 30.0
+_RATE_SECONDS = 30.0
+
+
+class Progress:
+    """Trials finished, agent-steps a second and time left of a launch, on a console."""
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._bars: Bars | None = None
+        self._done_trials = self._all_trials = 0
+        self._done_steps = self._all_steps = 0
+        self._under_way: Callable[[], int] = lambda: 0
+        self._readings: list[tuple[float, int]] = []
+        self._last_line = 0.0
+
+    @contextlib.contextmanager
+    def running(self, study: str, shards: Sequence[Shard], slots: int, under_way: Callable[[], int]) -> Iterator[None]:
+        """Show progress of these shards; `under_way` gives the agent-steps done of those that are not finished."""
+        self._all_trials = sum(len(shard.trials) for shard in shards)
+        self._all_steps = sum(shard.agent_steps for shard in shards)
+        self._under_way = under_way
+        self._readings = [(time.monotonic(), 0)]
+        self._last_line = time.monotonic()
+        self._console.print(
+            f"{study}: training {self._all_trials:,} trials ({self._all_steps:,} agent-steps) "
+            f"in {len(shards):,} shards on {slots} worker{'s' if slots > 1 else ''}",
+            highlight=False,
+            soft_wrap=True,
+        )
+        if not self._console.is_terminal:
+            yield
+            return
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("trials · {task.fields[rate]} agent-steps/s ·"),
+            TimeElapsedColumn(),
+            TextColumn("· {task.fields[left]} left"),
+        )
+        with Bars(*columns, console=self._console, refresh_per_second=4) as self._bars:
+            self._bars.add_task(study, total=self._all_trials, rate="…", left="…")
+            yield
+        self._bars = None
+
+    def finished(self, receipt: Receipt) -> None:
+        """Count a shard that came back."""
+        self._done_trials += receipt.trials
+        self._done_steps += receipt.agent_steps
+        if receipt.error is not None:
+            last = receipt.error.strip().splitlines()[-1]
+            self._console.print(
+                f"shard {receipt.shard} failed ({receipt.trials} trials): {last}", highlight=False, markup=False, soft_wrap=True
+            )
+
+    def tick(self) -> None:
+        """Bring the display up to date."""
+        now, steps = time.monotonic(), self._done_steps + self._under_way()
+        self._readings.append((now, steps))
+        while len(self._readings) > 2 and now - self._readings[1][0] > _RATE_SECONDS:
+            self._readings.pop(0)
+        (then, before), rate = self._readings[0], 0.0
+        if now > then:
+            rate = max(0.0, (steps - before) / (now - then))
+        left = _duration((self._all_steps - steps) / rate) if rate else "…"
+        if self._bars is not None:
+            self._bars.update(self._bars.task_ids[0], completed=self._done_trials, rate=f"{rate:,.0f}", left=left)
+        elif now - self._last_line >= _PLAIN_SECONDS:
+            self._last_line = now
+            share = steps / self._all_steps
+            self._console.print(
+                f"{self._done_trials:,} of {self._all_trials:,} trials finished · {share:.0%} of the steps · "
+                f"{rate:,.0f} agent-steps/s · {left} left",
+                highlight=False,
+                soft_wrap=True,
+            )
+
+
+def _duration(seconds: float) -> str:
+    minutes, seconds = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes:02} min" if hours else f"{minutes} min {seconds:02} s" if minutes else f"{seconds} s"

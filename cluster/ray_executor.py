@@ -1,0 +1,76 @@
+"""Shards as Ray tasks. The only file that imports ray.
+
+Ray runs a task at least once; the store's commit makes that exactly once. A worker that dies is started again by Ray.
+"""
+
+import logging
+import os
+from pathlib import Path
+
+# Before the import: Ray reads them then. Usage statistics off; token authentication without a line about it.
+os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+os.environ.setdefault("RAY_AUTH_MODE", "token")
+os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+
+import ray
+
+from cluster.worker import Receipt, Work, run_shard
+
+_OBJECT_STORE_BYTES = 100 * 2**20
+_MAX_RETRIES = 3
+
+
+def _run_shard(work: Work, umask: int) -> Receipt:
+    os.umask(umask)
+    return run_shard(work)
+
+
+class RayExecutor:
+    """Runs shards on a local Ray of its own, or on the cluster at `address`; one CPU a shard."""
+
+    def __init__(self, address: str | None = None, num_cpus: int | None = None) -> None:
+        """Start Ray on this machine with `num_cpus` slots (default: all cores), or join the cluster at `address`."""
+        umask = os.umask(0o077)  # Ray writes its token file with the default mode otherwise; workers put the old one back
+        try:
+            if address is None:
+                ray.init(
+                    address="local",  # without it, Ray joins any cluster that it can see
+                    num_cpus=num_cpus or os.cpu_count(),
+                    include_dashboard=False,
+                    object_store_memory=_OBJECT_STORE_BYTES,
+                    log_to_driver=False,
+                    logging_level=logging.ERROR,
+                )
+            else:
+                ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
+        finally:
+            os.umask(umask)
+        token = Path.home() / ".ray" / "auth_token"
+        if token.exists():
+            token.chmod(0o600)
+        self.slots = max(1, int(ray.cluster_resources().get("CPU", 1)))
+        self._task = ray.remote(num_cpus=1, max_retries=_MAX_RETRIES)(_run_shard).options(name="run_shard")
+        self._umask = umask
+        self._running: dict[ray.ObjectRef, Work] = {}
+
+    def submit(self, work: Work) -> None:
+        self._running[self._task.remote(work, self._umask)] = work
+
+    def wait(self, seconds: float) -> list[Receipt]:
+        if not self._running:
+            return []
+        ready, _ = ray.wait(list(self._running), num_returns=len(self._running), timeout=0)
+        if not ready:
+            ready, _ = ray.wait(list(self._running), num_returns=1, timeout=seconds)
+        return [self._receipt(reference) for reference in ready]
+
+    def _receipt(self, reference: "ray.ObjectRef") -> Receipt:
+        work = self._running.pop(reference)
+        try:
+            return ray.get(reference)
+        except ray.exceptions.RayError as error:
+            return Receipt(work.shard.id, len(work.shard.trials), work.shard.agent_steps, error=str(error) or repr(error))
+
+    def close(self) -> None:
+        self._running.clear()
+        ray.shutdown()

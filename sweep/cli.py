@@ -1,0 +1,184 @@
+"""The command line: translates and reports, nothing else. Imports lazily, so that `sweep --help` answers at once.
+
+Exit codes: 0 done, 1 usage or bad input, 2 some trials failed, 3 incomplete or interrupted.
+"""
+
+import json
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from sweep.messages import UserError
+
+if TYPE_CHECKING:
+    from cluster.launch import Summary
+
+app = typer.Typer(
+    help="Hyperparameter sweeps and sensitivity analysis for reinforcement-learning research.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+StoreOption = Annotated[Path, typer.Option("--store", envvar="SWEEP_STORE", help="Folder of results.")]
+_DEFAULT_STORE = Path("results")
+
+
+class ExecutorName(StrEnum):
+    """Where training runs."""
+
+    ray = "ray"
+    in_process = "in-process"
+
+
+class Format(StrEnum):
+    """How the answer to a query is written."""
+
+    table = "table"
+    csv = "csv"
+    json = "json"
+    markdown = "markdown"
+    parquet = "parquet"
+
+
+@app.callback()
+def _root() -> None:
+    pass
+
+
+@app.command()
+def launch(
+    grid: Annotated[str, typer.Argument(metavar="GRID", help="A grid file, or the name of a built-in study (quickstart).")],
+    store: StoreOption = _DEFAULT_STORE,
+    executor: Annotated[ExecutorName, typer.Option(help="Where to train.")] = ExecutorName.ray,
+    address: Annotated[str | None, typer.Option(help="Address of a running Ray cluster; default: a Ray of its own.")] = None,
+    num_cpus: Annotated[int | None, typer.Option(min=1, help="Workers on this machine; default: all cores.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
+) -> None:
+    """Train whatever a study needs and the store lacks."""
+    from rich.console import Console
+
+    import cluster.launch
+    from cluster.executor import Executor, InProcessExecutor
+    from cluster.progress import Progress
+    from sweep.grid import load
+    from sweep.store import Store
+    from sweep.trials import expand
+
+    study = load(grid)
+    expand(study)  # a grid that contradicts itself is refused before a store is made
+
+    def start() -> Executor:
+        if executor is ExecutorName.in_process:
+            return InProcessExecutor()
+        from cluster.ray_executor import RayExecutor
+
+        return RayExecutor(address, num_cpus)
+
+    console = Console(stderr=as_json)
+    summary = cluster.launch.launch(study, Store.create(store), start, Progress(console))
+    if as_json:
+        typer.echo(json.dumps(_summary_json(summary)))
+    else:
+        for line in _summary_lines(summary):
+            typer.echo(line)
+    if study.evaluate_seeds and not as_json:
+        typer.echo("Only the tuning stage is run by this version: the evaluation seeds are not used yet.", err=True)
+    if summary.interrupted:
+        raise typer.Exit(3)
+    if summary.failed:
+        raise typer.Exit(2)
+
+
+def _summary_json(summary: "Summary") -> dict[str, object]:
+    return {
+        "study": summary.study,
+        "trials": summary.trials,
+        "finished": summary.finished_before + summary.trained,
+        "trained": summary.trained,
+        "diverged": summary.diverged,
+        "failed": summary.failed,
+        "agent_steps": summary.agent_steps,
+        "seconds": round(summary.seconds, 3),
+        "agent_steps_per_second": round(summary.agent_steps_per_second, 1),
+    }
+
+
+def _summary_lines(summary: "Summary") -> list[str]:
+    if summary.finished_before == summary.trials:
+        return [f"{summary.study}: all {summary.trials:,} trials are finished; nothing to do."]
+    lines = [
+        f"{summary.study}: {summary.trained:,} trials trained in {summary.seconds:,.0f} s, "
+        f"{summary.agent_steps_per_second:,.0f} agent-steps a second; "
+        f"{summary.finished_before + summary.trained:,} of {summary.trials:,} finished."
+    ]
+    if summary.diverged:
+        lines.append(f"{summary.diverged:,} diverged: their numbers stopped being finite. They are kept, and marked.")
+    if summary.failed:
+        lines.append(f"{summary.failed:,} trials failed; tracebacks are in the store's failures folder. Launch again to retry.")
+    if summary.interrupted:
+        lines.append("Interrupted. What is finished is in the store; launch again to go on.")
+    return lines
+
+
+@app.command()
+def sql(
+    query: Annotated[str | None, typer.Argument(metavar="QUERY", help="A SELECT; default: read it from standard input.")] = None,
+    store: StoreOption = _DEFAULT_STORE,
+    format: Annotated[Format, typer.Option(help="How to write the answer.")] = Format.table,
+) -> None:
+    """Query a store's tables and views, read-only."""
+    from analysis.query import run
+    from sweep.store import Store
+
+    opened = Store.open(store)
+    run(opened.path, sys.stdin.read() if query is None else query, format.value)
+
+
+@app.command()
+def analyze(
+    figure: Annotated[str | None, typer.Option(help="A figure by its number, such as 7.1.")] = None,
+    list_: Annotated[bool, typer.Option("--list", help="List the figures.")] = False,
+    study: Annotated[str | None, typer.Option(help="The study to draw; default: the only one with the data.")] = None,
+    store: StoreOption = _DEFAULT_STORE,
+    out: Annotated[Path, typer.Option(help="Folder for the files.")] = Path("."),
+    format: Annotated[str, typer.Option(help="png, svg, pdf, csv; several with commas.")] = "png",
+) -> None:
+    """Draw a figure from a store."""
+    from analysis import analyze as analysis
+    from sweep.store import Store
+
+    if list_:
+        for line in analysis.list_figures():
+            typer.echo(line)
+        return
+    if figure is None:
+        raise UserError("analyze: say which figure: --figure 7.1 (--list names them all)")
+    result = analysis.analyze(Store.open(store).path, figure, study, out, format.split(","))
+    for note in result.notes:
+        typer.echo(note)
+    for file in result.files:
+        typer.echo(f"wrote {file}")
+
+
+# What typer raises for a mistake in the arguments: click's exception, or that of the copy of click that typer carries.
+_UsageMistake: Any = next(base for base in typer.BadParameter.__mro__ if base.__name__ == "ClickException")
+
+
+def main() -> None:
+    """Run the command line: a mistake of the user's becomes a message and exit code 1."""
+    try:
+        code = app(standalone_mode=False)
+        sys.exit(code if isinstance(code, int) else 0)
+    except UserError as error:
+        typer.echo(f"error: {error}" if "\n" not in str(error) else str(error), err=True)
+    except _UsageMistake as error:
+        error.show()
+    except (typer.Abort, KeyboardInterrupt):
+        typer.echo("Interrupted.", err=True)
+        sys.exit(3)
+    sys.exit(1)

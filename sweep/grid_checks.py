@@ -1,0 +1,176 @@
+"""What pydantic cannot know of a grid: names and ranges of hyperparameters, environments, seeds. Every mistake is listed.
+
+These functions look at the file as it was read, so that a mistake in one section does not hide those in another: whatever
+has the wrong form is passed over here, because pydantic has already complained of it.
+"""
+
+import math
+from fnmatch import fnmatchcase
+from typing import Any
+
+from agents.hypers import Hyper, HyperparameterError
+from agents.registry import ALGORITHMS, ENVIRONMENTS, Algorithm
+from sweep.messages import suggestion
+
+MAX_TRIALS = 10_000_000
+_FORMS = "a list, { values = […] }, { logspace = [first exponent, last exponent, count] } or { range = [first, last, step] }"
+
+
+def problems(raw: dict[str, Any]) -> list[str]:
+    """Return a message for each mistake in a grid file's content."""
+    found: list[str] = []
+    agents = [agent for agent in _list(raw.get("agent")) if isinstance(agent, dict)]
+    environments = _list(_table(raw.get("study")).get("environments"))
+    found += _environment_problems(environments)
+    found += _seed_problems(_table(raw.get("seeds")))
+    known = [ALGORITHMS[agent["name"]] for agent in agents if str(agent.get("name")) in ALGORITHMS]
+    shared_names = sorted({name for algorithm in known for name in algorithm.hypers.table})
+    for section in ("fixed", "sweep"):
+        for name, value in _table(raw.get(section)).items():
+            hypers = [algorithm.hypers.table[name] for algorithm in known if name in algorithm.hypers.table]
+            found += _hyper_problems(f"{section}.{name}", section, name, value, hypers, shared_names)
+    found += _named_twice(raw, "")
+    for number, agent in enumerate(agents, start=1):
+        found += _agent_problems(f"agent[{number}]", agent, [str(name) for name in environments])
+    return found
+
+
+def seeds(tune: int | list[int], evaluate: int | list[int] | None) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Return explicit tuning and evaluation seeds: a count takes the numbers from 0, or those after the tuning seeds."""
+    tune_seeds = tuple(range(tune)) if isinstance(tune, int) else tuple(tune)
+    if isinstance(evaluate, int):
+        first = max(tune_seeds) + 1
+        return tune_seeds, tuple(range(first, first + evaluate))
+    return tune_seeds, tuple(evaluate or ())
+
+
+def swept_values(hyper: Hyper, sweep: Any) -> tuple[Any, ...]:
+    """Return the values of a sweep in canonical types. Raises HyperparameterError when there are none, or one is bad."""
+    if isinstance(sweep, dict):
+        form, listed = next(iter(sweep.items())) if len(sweep) == 1 else ("", None)
+        if form not in ("values", "logspace", "range") or not isinstance(listed, list):
+            raise HyperparameterError(f"must be {_FORMS}")
+        values = listed if form == "values" else _series(form, listed)
+    elif isinstance(sweep, list):
+        values = sweep
+    else:
+        raise HyperparameterError(f"must be {_FORMS}; a single value belongs in [fixed]")
+    if not values:
+        raise HyperparameterError("nothing to sweep: the list of values is empty")
+    checked: list[Any] = []
+    for value in values:
+        try:
+            checked.append(hyper.check(value))
+        except HyperparameterError as error:
+            raise HyperparameterError(f"value {value!r} {error}") from None
+        if checked[-1] in checked[:-1]:
+            raise HyperparameterError(f"value {value!r} is listed twice")
+    return tuple(checked)
+
+
+def _series(form: str, arguments: list[Any]) -> list[float | int]:
+    if len(arguments) != 3 or not all(type(x) in (int, float) and math.isfinite(x) for x in arguments):
+        raise HyperparameterError(f"{form} takes three numbers: {_FORMS}")
+    first, last, third = arguments
+    if form == "logspace":
+        if type(third) is not int or not 2 <= third <= 10_000 or max(abs(first), abs(last)) > 300:
+            raise HyperparameterError(
+                "logspace = [first exponent, last exponent, count] needs a count of 2 to 10,000 and exponents within ±300"
+            )
+        return [float(f"{10 ** (first + (last - first) * i / (third - 1)):.12g}") for i in range(third)]
+    if third == 0 or (last - first) / third < 0 or (last - first) / third > 10_000:
+        raise HyperparameterError(
+            "range = [first, last, step] needs a step that leads from first to last in at most 10,000 values"
+        )
+    count = math.floor((last - first) / third + 1e-9) + 1
+    values = [first + i * third for i in range(count)]
+    return [value if type(value) is int else float(f"{value:.12g}") for value in values]
+
+
+def _environment_problems(environments: list[Any]) -> list[str]:
+    found = []
+    for number, name in enumerate(environments, start=1):
+        if isinstance(name, str) and name not in ENVIRONMENTS:
+            found.append(f'study.environments[{number}] = "{name}": unknown environment; {suggestion(name, ENVIRONMENTS)}')
+        if name in environments[: number - 1]:
+            found.append(f'study.environments[{number}] = "{name}": listed twice')
+    return found
+
+
+def _seed_problems(section: dict[str, Any]) -> list[str]:
+    found = []
+    lists = {key: value for key, value in section.items() if key in ("tune", "evaluate") and isinstance(value, list)}
+    for key, listed in lists.items():
+        twice = sorted({seed for seed in listed if type(seed) is int and listed.count(seed) > 1})
+        if twice:
+            found.append(f"seeds.{key}: seed {twice[0]} is listed twice")
+    tune, evaluate = section.get("tune"), section.get("evaluate")
+    if _are_seeds(tune) and _are_seeds(evaluate):
+        explicit = seeds(tune, evaluate)  # type: ignore[arg-type]
+        overlap = sorted(set(explicit[0]) & set(explicit[1]))
+        if overlap:
+            shown = ", ".join(map(str, overlap[:5])) + (", …" if len(overlap) > 5 else "")
+            found.append(f"seeds.evaluate: overlaps with seeds.tune ({shown}): evaluation needs fresh seeds")
+    return found
+
+
+def _are_seeds(value: Any) -> bool:
+    if isinstance(value, list):
+        return bool(value) and all(type(seed) is int for seed in value)
+    return type(value) is int and value >= 1
+
+
+def _agent_problems(place: str, agent: dict[str, Any], environments: list[str]) -> list[str]:
+    name = agent.get("name")
+    algorithm = ALGORITHMS.get(name) if isinstance(name, str) else None
+    if algorithm is None:
+        return [f'{place}.name = "{name}": unknown agent; {suggestion(name, ALGORITHMS)}'] if isinstance(name, str) else []
+    found = []
+    for section in ("fixed", "sweep"):
+        for hyper_name, value in _table(agent.get(section)).items():
+            hyper = algorithm.hypers.table.get(hyper_name)
+            where = f"{place}.{section}.{hyper_name}"
+            found += _hyper_problems(where, section, hyper_name, value, [hyper] if hyper else [], algorithm.hypers.table)
+    found += _named_twice(agent, f"{place}.")
+    found += _pattern_problems(f"{place}.environments", algorithm, agent.get("environments", ["*"]), environments)
+    return found
+
+
+def _hyper_problems(place: str, section: str, name: str, value: Any, hypers: list[Hyper], known: Any) -> list[str]:
+    if not hypers:
+        return [f"{place}: unknown hyperparameter; {suggestion(name, known)}"] if known else []
+    try:
+        if section == "sweep":
+            swept_values(hypers[0], value)
+        else:
+            hypers[0].check(value)
+    except HyperparameterError as error:
+        return [f"{place}: {error}" if section == "sweep" else f"{place} = {value!r}: {error}"]
+    return []
+
+
+def _named_twice(tables: dict[str, Any], prefix: str) -> list[str]:
+    both = _table(tables.get("fixed")).keys() & _table(tables.get("sweep")).keys()
+    return [f"{prefix}sweep.{name}: is in {prefix}fixed too; keep one" for name in sorted(both)]
+
+
+def _pattern_problems(place: str, algorithm: Algorithm, patterns: Any, environments: list[str]) -> list[str]:
+    found = []
+    for number, pattern in enumerate(_list(patterns), start=1):
+        if not isinstance(pattern, str):
+            continue
+        matched = [name for name in environments if fnmatchcase(name, pattern)]
+        if environments and not matched:
+            found.append(f'{place}[{number}] = "{pattern}": matches none of the study\'s environments: {", ".join(environments)}')
+        known = [ENVIRONMENTS[name] for name in matched if name in ENVIRONMENTS]
+        if known and all(environment.actions not in algorithm.actions for environment in known):
+            found.append(f"{place}: {algorithm.name} acts in {' and '.join(algorithm.actions)} action spaces only")
+    return found
+
+
+def _table(value: Any) -> dict[str, Any]:
+    return value if isinstance(value, dict) else {}
+
+
+def _list(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else []

@@ -1,0 +1,179 @@
+"""A store of results: a folder that holds each finished trial exactly once.
+
+    sweep-store.json                                marks the folder as a store
+    shards/<shard>/{trials,episodes,steps}.parquet  trials that were trained together: visible whole or not at all
+    studies/<study>/{grid.toml,members.parquet}     what a study needs, finished or not
+    failures/<shard>.json                           the last error of a shard that could not be trained
+    .staging/  .progress/  .lock                    work under way; never read as results
+
+A shard is written and flushed to disk in `.staging`, then its folder is renamed into place: a rename is atomic, and it fails when
+the name is taken. Under the lock, trials that are in the store by then are left out, so that two launches at once, or a
+worker that was given up for dead, cannot put a trial there twice. What is finished is read off the files themselves.
+"""
+
+import contextlib
+import fcntl
+import json
+import os
+import shutil
+import socket
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from sweep.messages import UserError
+from sweep.tables import ShardTables
+
+_MARKER = "sweep-store.json"
+_FORMAT = 1
+
+
+class Store:
+    """The store in a folder. `open` one that exists, or `create` it."""
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+
+    @classmethod
+    def open(cls, path: str | Path) -> "Store":
+        """Return the store in a folder. Raises UserError when there is none, or it is of another format."""
+        store = cls(path)
+        if not store.path.exists():
+            raise UserError(f"{path}: there is no store here; `sweep launch` makes one, `--store DIR` names another")
+        try:
+            marker = json.loads((store.path / _MARKER).read_text("utf-8"))
+        except (OSError, ValueError):
+            raise UserError(f"{path}: is not a store: it has no readable {_MARKER}") from None
+        if not isinstance(marker, dict) or marker.get("format") != _FORMAT:
+            raise UserError(f"{path}: is a store of another format than {_FORMAT}, the one this version reads")
+        return store
+
+    @classmethod
+    def create(cls, path: str | Path) -> "Store":
+        """Return the store in a folder, made there if the folder is missing or empty. Raises UserError when it is neither."""
+        folder = Path(path)
+        try:
+            if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+                return cls.open(path)
+            folder.mkdir(parents=True, exist_ok=True)
+            _write_atomically(folder / _MARKER, json.dumps({"format": _FORMAT}).encode())
+        except OSError as error:
+            raise UserError(f"{path}: a store cannot be made here: {error.strerror}") from None
+        return cls(folder)
+
+    def finished_trials(self) -> set[str]:
+        """Return the trials whose rows are in the store."""
+        finished: set[str] = set()
+        for file in self.path.glob("shards/*/trials.parquet"):
+            finished.update(pq.read_table(file, columns=["trial"], partitioning=None)["trial"].to_pylist())
+        return finished
+
+    def commit(self, shard: str, tables: ShardTables) -> int:
+        """Make a shard's rows visible, all at once; return how many trials were new."""
+        staging = self.path / ".staging" / f"{shard}-{socket.gethostname()}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
+        staging.mkdir(parents=True)
+        try:
+            with self._locked():
+                tables = tables.without(self.finished_trials() & set(tables.trials["trial"].to_pylist()))
+                if tables.trials.num_rows:
+                    _write_tables(staging, tables)
+                    final = self.path / "shards" / shard
+                    final.parent.mkdir(exist_ok=True)
+                    staging.rename(final)
+                    _flush_folder(final.parent)
+        finally:
+            shutil.rmtree(staging, ignore_errors=True)
+        (self.path / "failures" / f"{shard}.json").unlink(missing_ok=True)
+        return tables.trials.num_rows
+
+    def write_study(self, name: str, grid: str, members: pa.Table) -> None:
+        """Write down what a study needs; nothing is touched when that is there already."""
+        folder = self.path / "studies" / name
+        sink = pa.BufferOutputStream()
+        pq.write_table(members, sink, compression="zstd")
+        for file, content in (
+            (folder / "grid.toml", grid.encode()),
+            (folder / "members.parquet", sink.getvalue().to_pybytes()),
+        ):
+            if not file.exists() or file.read_bytes() != content:
+                folder.mkdir(parents=True, exist_ok=True)
+                _write_atomically(file, content)
+
+    def record_failure(self, shard: str, failure: dict[str, Any]) -> None:
+        """Write down why a shard could not be trained."""
+        file = self.path / "failures" / f"{shard}.json"
+        file.parent.mkdir(exist_ok=True)
+        _write_atomically(file, json.dumps(failure, indent=1).encode())
+
+    def report_progress(self, shard: str, agent_steps: int) -> None:
+        """Write down how many agent-steps of a shard are done, for whoever shows progress; not kept."""
+        file = self.path / ".progress" / shard
+        file.parent.mkdir(exist_ok=True)
+        _write_atomically(file, str(agent_steps).encode(), flush=False)
+
+    def progress(self, shards: list[str]) -> int:
+        """Return the agent-steps reported for shards that are under way."""
+        done = 0
+        for shard in shards:
+            with contextlib.suppress(OSError, ValueError):
+                done += int((self.path / ".progress" / shard).read_text())
+        return done
+
+    def clear_progress(self, shard: str) -> None:
+        """Forget the progress of a shard."""
+        (self.path / ".progress" / shard).unlink(missing_ok=True)
+
+    @contextlib.contextmanager
+    def _locked(self) -> Iterator[None]:
+        with open(self.path / ".lock", "a") as file:
+            fcntl.flock(file, fcntl.LOCK_EX)
+            yield
+
+
+def _write_tables(folder: Path, tables: ShardTables) -> None:
+    """Write and flush the three files.
+
+    `steps` costs about as much as the episodes because the step numbers are stored as differences and the returns by
+    dictionary and run length: plain encodings are a hundred times larger.
+    """
+    _write_table(folder / "trials.parquet", tables.trials)
+    _write_table(folder / "episodes.parquet", tables.episodes)
+    _write_table(
+        folder / "steps.parquet",
+        tables.steps,
+        use_dictionary=["trial", "episodic_return"],
+        column_encoding={"step": "DELTA_BINARY_PACKED"},
+        row_group_size=100_000,
+    )
+    _flush_folder(folder)
+
+
+def _write_table(file: Path, table: pa.Table, **options: Any) -> None:
+    with open(file, "wb") as sink:
+        pq.write_table(table, sink, compression="zstd", write_page_checksum=True, store_schema=False, **options)
+        sink.flush()
+        os.fsync(sink.fileno())
+
+
+def _write_atomically(file: Path, content: bytes, flush: bool = True) -> None:
+    temporary = file.with_name(f".{file.name}-{os.getpid()}-{uuid.uuid4().hex[:8]}")
+    with open(temporary, "wb") as sink:
+        sink.write(content)
+        if flush:
+            sink.flush()
+            os.fsync(sink.fileno())
+    temporary.replace(file)
+    if flush:
+        _flush_folder(file.parent)
+
+
+def _flush_folder(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

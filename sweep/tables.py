@@ -1,0 +1,148 @@
+"""The rows of a store from the records of training: trials, episodes and steps as Arrow tables.
+
+Scores of a run (thesis section 6.1; names as in the tables): the budget-cut last episode never enters a mean.
+"""
+
+import datetime
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from sweep import schema
+from sweep.provenance import Provenance
+from sweep.trials import Trial
+
+_BUDGET = schema.ENDINGS.index("budget")
+FINAL_SHARE = 0.1
+
+
+class EpisodeColumns(Protocol):
+    """The records of a population: what `agents.records.Records` declares, without importing it (it needs torch)."""
+
+    @property
+    def steps(self) -> int: ...
+    @property
+    def agent(self) -> np.ndarray: ...
+    @property
+    def episode(self) -> np.ndarray: ...
+    @property
+    def first_step(self) -> np.ndarray: ...
+    @property
+    def length(self) -> np.ndarray: ...
+    @property
+    def episodic_return(self) -> np.ndarray: ...
+    @property
+    def ending(self) -> np.ndarray: ...
+    @property
+    def diverged_at(self) -> np.ndarray: ...
+
+
+@dataclass(frozen=True)
+class ShardTables:
+    """The three tables of a shard; they are committed together."""
+
+    trials: pa.Table
+    episodes: pa.Table
+    steps: pa.Table
+
+    def without(self, trials: set[str]) -> "ShardTables":
+        """Return the tables without the rows of some trials."""
+        kept = [name for name in self.trials["trial"].to_pylist() if name not in trials]
+        tables = (self.trials, self.episodes, self.steps)
+        return ShardTables(*(table.filter(pc.is_in(table["trial"], pa.array(kept, pa.string()))) for table in tables))
+
+
+def shard_tables(trials: Sequence[Trial], records: EpisodeColumns, wall_seconds: float, provenance: Provenance) -> ShardTables:
+    """Return the tables of trials that were trained together, agent p of the records being trial p."""
+    ids = [trial.id for trial in trials]
+    episodes = {
+        "trial": pa.DictionaryArray.from_arrays(pa.array(records.agent, pa.int32()), pa.array(ids, pa.string())),
+        "episode": records.episode,
+        "first_step": records.first_step,
+        "length": records.length,
+        "episodic_return": records.episodic_return,
+        "ending": pa.DictionaryArray.from_arrays(pa.array(records.ending, pa.int32()), pa.array(schema.ENDINGS)),
+    }
+    steps = {
+        "trial": pa.DictionaryArray.from_arrays(
+            pa.array(np.repeat(records.agent, records.length), pa.int32()), pa.array(ids, pa.string())
+        ),
+        "step": np.tile(np.arange(1, records.steps + 1, dtype=np.int32), len(trials)),
+        "episodic_return": np.repeat(records.episodic_return, records.length),
+    }
+    rows = [
+        {
+            **_identity_columns(trial),
+            **run_scores(records, agent),
+            "wall_seconds": wall_seconds / len(trials),
+            "population": len(trials),
+            **provenance.columns(),
+            "finished_at": datetime.datetime.now(datetime.UTC),
+        }
+        for agent, trial in enumerate(trials)
+    ]
+    return ShardTables(
+        trials=pa.Table.from_pylist(rows, schema.with_hypers(schema.TRIALS, trials[0].applicable_hypers)),
+        episodes=pa.table(episodes, schema.EPISODES),
+        steps=pa.table(steps, schema.STEPS),
+    )
+
+
+def _identity_columns(trial: Trial) -> dict[str, Any]:
+    return {
+        "trial": trial.id,
+        "setting": trial.setting,
+        "agent": trial.agent,
+        "environment": trial.environment,
+        "seed": trial.seed,
+        **trial.applicable_hypers,
+        "steps": trial.steps,
+        "cutoff": trial.cutoff,
+        "discount": trial.discount,
+    }
+
+
+def run_scores(records: EpisodeColumns, agent: int) -> dict[str, Any]:
+    """Return status, counts and scores of one run; a score without completed episodes, or of a diverged run, is None.
+
+    episode_mean: unweighted mean over completed episodes. step_mean: mean over the steps in completed episodes of their
+    episode's return. final_mean: the same over the last tenth (FINAL_SHARE) of those steps. best_episode: the highest
+    return of a completed episode, which a run that diverged later may have too.
+    """
+    first, last = np.searchsorted(records.agent, [agent, agent + 1])
+    completed = records.ending[first:last] != _BUDGET
+    returns = records.episodic_return[first:last][completed].astype(np.float64)
+    lengths = records.length[first:last][completed].astype(np.int64)
+    diverged_at = int(records.diverged_at[agent]) or None
+    finite = returns[np.isfinite(returns)]
+    scores: dict[str, float | None] = {"episode_mean": None, "step_mean": None, "final_mean": None}
+    if diverged_at is None and len(returns):
+        in_completed = lengths.sum()
+        window_start = in_completed - max(1, round(FINAL_SHARE * in_completed))
+        ends = lengths.cumsum()
+        in_window = np.clip(ends - window_start, 0, lengths)
+        scores = {
+            "episode_mean": float(returns.mean()),
+            "step_mean": float(np.average(returns, weights=lengths)),
+            "final_mean": float(np.average(returns, weights=in_window)),
+        }
+    return {
+        "episodes": int(last - first),
+        "status": "diverged" if diverged_at else "finished",
+        "diverged_at": diverged_at,
+        **scores,
+        "best_episode": float(finite.max()) if len(finite) else None,
+    }
+
+
+def members_table(study: str, stage: str, trials: Sequence[Trial]) -> pa.Table:
+    """Return the trials that a study needs, with the hyperparameters of all its agents as columns."""
+    hypers: dict[str, Any] = {}
+    for trial in trials:
+        hypers |= trial.applicable_hypers
+    rows = [{"study": study, "stage": stage, **_identity_columns(trial)} for trial in trials]
+    return pa.Table.from_pylist(rows, schema.with_hypers(schema.MEMBERS, hypers))

@@ -1,0 +1,43 @@
+import torch
+
+from agents.replay import Replay
+from agents.rng import RandomStream
+
+
+def filled(population, capacity, num_added):
+    """Transition t of agent p: state (p, t), action 10t, reward t, successor (p, t + 1), terminated when t is a multiple of 3."""
+    replay = Replay(population, capacity, 2, 1, torch.device("cpu"))
+    agents = torch.arange(population, dtype=torch.float32)
+    for t in range(num_added):
+        time = torch.full((population,), float(t))
+        replay.add(
+            torch.stack([agents, time], 1),
+            time[:, None] * 10,
+            time,
+            torch.full((population,), t % 3 == 0),
+            torch.stack([agents, time + 1], 1),
+        )
+    return replay
+
+
+def test_sampled_transitions_are_whole_and_stay_with_their_agent():
+    stream = RandomStream(torch.arange(3))
+    batch = filled(3, 100, 50).sample(stream, 50, 200)
+    time = batch.states[..., 1]
+    assert torch.equal(batch.states[..., 0], torch.arange(3.0)[:, None].expand(3, 200))
+    assert torch.equal(batch.actions[..., 0], 10 * time)
+    assert torch.equal(batch.rewards[..., 0], time)
+    assert torch.equal(batch.continues[..., 0], (time % 3 != 0).float())
+    assert torch.equal(batch.next_states[..., 1], time + 1)
+    assert torch.equal(batch.states_actions, torch.cat([batch.states, batch.actions], -1))
+    assert set(time.unique().tolist()) <= set(range(50)) and len(time.unique()) == 50
+
+
+def test_agents_with_different_seeds_draw_different_minibatches():
+    times = filled(2, 100, 100).sample(RandomStream(torch.tensor([0, 1])), 100, 32).rewards
+    assert not torch.equal(times[0], times[1])
+
+
+def test_a_full_buffer_forgets_the_oldest():
+    batch = filled(1, 10, 25).sample(RandomStream(torch.tensor([0])), 25, 500)
+    assert set(batch.rewards.flatten().unique().tolist()) == set(range(15, 25))

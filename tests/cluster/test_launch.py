@@ -1,0 +1,127 @@
+import io
+import json
+
+from rich.console import Console
+
+import cluster.worker
+from cluster.executor import InProcessExecutor
+from cluster.launch import launch
+from cluster.progress import Progress
+from sweep.grid import parse
+from sweep.store import Store
+
+GRID = """
+[study]
+name = "tiny"
+environments = ["Pendulum-CA"]
+steps = 60
+cutoff = 25
+[seeds]
+tune = 2
+[sweep]
+critic_step_size = [0.01, 0.001]
+[[agent]]
+name = "SAC"
+[[agent]]
+name = "GreedyAC"
+"""
+
+
+def snapshot(folder):
+    files = [file for file in folder.rglob("*") if file.is_file()]
+    return {file: (file.stat().st_mtime_ns, file.stat().st_ino, file.read_bytes()) for file in files}
+
+
+def run(store, grid=GRID, start=InProcessExecutor):
+    output = io.StringIO()
+    summary = launch(parse(grid, "grid.toml"), store, start, Progress(Console(file=output, width=200)))
+    return summary, output.getvalue()
+
+
+def refuse_to_start():
+    raise AssertionError("nothing is missing: no executor may be started")
+
+
+def test_launching_a_finished_study_again_starts_nothing_and_touches_no_file(tmp_path):
+    store = Store.create(tmp_path)
+    summary, _ = run(store)
+    assert (summary.trials, summary.trained, summary.failed) == (8, 8, 0)
+    before = snapshot(tmp_path)
+    again, output = run(store, start=refuse_to_start)
+    assert (again.trials, again.finished_before, again.trained) == (8, 8, 0)
+    assert snapshot(tmp_path) == before
+    assert output == ""
+
+
+def test_a_larger_study_trains_only_what_is_missing(tmp_path):
+    store = Store.create(tmp_path)
+    run(store)
+    summary, _ = run(store, GRID.replace("tune = 2", "tune = 3"))
+    assert (summary.trials, summary.finished_before, summary.trained) == (12, 8, 4)
+    assert len(store.finished_trials()) == 12
+
+
+def test_a_shard_that_fails_harms_no_other_and_is_trained_by_the_next_launch(tmp_path, monkeypatch):
+    store = Store.create(tmp_path)
+    original = cluster.worker.shard_tables
+
+    def fail_for_sac(trials, *arguments):
+        if trials[0].agent == "SAC":
+            raise RuntimeError("the disk is on fire")
+        return original(trials, *arguments)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(cluster.worker, "shard_tables", fail_for_sac)
+        summary, output = run(store)
+    assert (summary.trained, summary.failed) == (4, 4)
+    assert "failed (4 trials): RuntimeError: the disk is on fire" in output
+    (failure,) = [json.loads(file.read_text()) for file in (tmp_path / "failures").iterdir()]
+    assert "the disk is on fire" in failure["traceback"]
+    assert len(failure["trials"]) == 4
+    summary, _ = run(store)
+    assert (summary.finished_before, summary.trained, summary.failed) == (4, 4, 0)
+    assert not list((tmp_path / "failures").iterdir())
+
+
+def test_an_interrupt_keeps_what_is_finished_and_closes_the_executor(tmp_path):
+    store = Store.create(tmp_path)
+    closed = []
+
+    class Interrupted(InProcessExecutor):
+        def wait(self, seconds):
+            if store.finished_trials():
+                raise KeyboardInterrupt
+            return super().wait(seconds)
+
+        def close(self):
+            closed.append(True)
+
+    summary, _ = run(store, start=Interrupted)
+    assert summary.interrupted
+    assert closed == [True]
+    assert 0 < summary.trained < 8
+    summary, _ = run(store)
+    assert summary.trained + summary.finished_before == 8
+
+
+def test_the_number_of_shards_in_flight_is_bounded(tmp_path):
+    in_flight = []
+
+    class Counting(InProcessExecutor):
+        def submit(self, work):
+            super().submit(work)
+            in_flight.append(len(self._queue))
+
+    grid = GRID.replace("tune = 2", "tune = 40").replace("steps = 60", "steps = 40")
+    run(Store.create(tmp_path), grid, Counting)
+    assert len(in_flight) > 2
+    assert max(in_flight) == 2
+
+
+def test_without_a_terminal_progress_is_plain_lines(tmp_path, monkeypatch):
+    monkeypatch.setattr("cluster.progress._PLAIN_SECONDS", 0.0)
+    _, output = run(Store.create(tmp_path))
+    first, *lines = output.splitlines()
+    assert first.startswith("tiny: training 8 trials (480 agent-steps) in ")
+    assert lines[-1].startswith("8 of 8 trials finished · 100% of the steps · ")
+    assert "\x1b" not in output

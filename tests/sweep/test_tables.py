@@ -1,0 +1,88 @@
+"""Scores of a run by hand, and the tables that a shard becomes."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from agents.hypers import SACHypers
+from sweep.provenance import Provenance
+from sweep.tables import members_table, run_scores, shard_tables
+from sweep.trials import Trial
+
+TERMINATED, TRUNCATED, BUDGET = 0, 1, 2
+PROVENANCE = Provenance("cpu", "torch", "host", "abc", "{}")
+
+
+def records(*agents, diverged_at=None):
+    """Each agent is a list of (length, return, ending)."""
+    columns = {name: [] for name in ("agent", "episode", "first_step", "length", "episodic_return", "ending")}
+    for agent, episodes in enumerate(agents):
+        first = 1
+        for number, (length, episodic_return, ending) in enumerate(episodes):
+            for name, value in zip(columns, (agent, number, first, length, episodic_return, ending), strict=True):
+                columns[name].append(value)
+            first += length
+    types = {"episodic_return": np.float32, "ending": np.uint8}
+    arrays = {name: np.array(values, types.get(name, np.int32)) for name, values in columns.items()}
+    steps = sum(length for length, _, _ in agents[0])
+    return SimpleNamespace(steps=steps, diverged_at=np.array(diverged_at or [0] * len(agents)), **arrays)
+
+
+def test_the_episode_mean_is_unweighted_and_the_step_mean_is_weighted_by_length():
+    scores = run_scores(records([(10, 1, TERMINATED), (30, 5, TRUNCATED)]), 0)
+    assert scores["episode_mean"] == 3
+    assert scores["step_mean"] == (10 * 1 + 30 * 5) / 40
+    assert (scores["episodes"], scores["status"], scores["best_episode"]) == (2, "finished", 5)
+
+
+def test_the_final_mean_covers_the_last_tenth_of_the_steps():
+    scores = run_scores(records([(85, 0, TERMINATED), (13, 10, TERMINATED), (2, 100, TERMINATED)]), 0)
+    assert scores["final_mean"] == pytest.approx((8 * 10 + 2 * 100) / 10)
+
+
+def test_the_budget_cut_last_episode_enters_no_score():
+    scores = run_scores(records([(50, -50, TRUNCATED), (50, -50, TRUNCATED), (3, -3, BUDGET)]), 0)
+    assert scores["episode_mean"] == scores["step_mean"] == scores["final_mean"] == scores["best_episode"] == -50
+    assert scores["episodes"] == 3
+
+
+def test_a_run_without_a_completed_episode_has_no_score():
+    scores = run_scores(records([(7, -7, BUDGET)]), 0)
+    assert scores["episode_mean"] is scores["step_mean"] is scores["final_mean"] is scores["best_episode"] is None
+    assert scores["status"] == "finished"
+
+
+def test_a_diverged_run_is_marked_and_keeps_its_best_episode_only():
+    scores = run_scores(records([(5, 2, TERMINATED), (5, np.nan, TERMINATED)], diverged_at=[7]), 0)
+    assert (scores["status"], scores["diverged_at"], scores["best_episode"]) == ("diverged", 7, 2)
+    assert scores["episode_mean"] is scores["step_mean"] is scores["final_mean"] is None
+
+
+def test_a_shard_becomes_one_row_a_trial_an_episode_and_a_step():
+    trials = [Trial("SAC", "Pendulum-CA", SACHypers(), seed, 5, 1000, 0.99) for seed in (0, 1)]
+    tables = shard_tables(trials, records([(2, 1, 0), (3, 2, 2)], [(5, 3, 1)]), 4.0, PROVENANCE)
+    assert tables.trials["trial"].to_pylist() == [trial.id for trial in trials]
+    assert tables.trials["wall_seconds"].to_pylist() == [2.0, 2.0]
+    assert tables.trials["hidden_layers"].to_pylist() == [[64, 64]] * 2
+    assert tables.episodes["ending"].to_pylist() == ["terminated", "budget", "truncated"]
+    assert tables.steps["step"].to_pylist() == [1, 2, 3, 4, 5] * 2
+    assert tables.steps["episodic_return"].to_pylist() == [1, 1, 2, 2, 2, 3, 3, 3, 3, 3]
+    assert tables.steps["trial"].to_pylist() == [trials[0].id] * 5 + [trials[1].id] * 5
+    rest = tables.without({trials[0].id})
+    assert rest.trials["seed"].to_pylist() == [1]
+    assert rest.episodes.num_rows == 1
+    assert rest.steps.num_rows == 5
+
+
+def test_members_have_the_hyperparameters_of_all_agents_as_columns():
+    from agents.hypers import GreedyACHypers
+
+    trials = [
+        Trial("SAC", "Pendulum-CA", SACHypers(), 0, 5, 1000, 0.99),
+        Trial("GreedyAC", "Pendulum-CA", GreedyACHypers(), 0, 5, 1000, 0.99),
+    ]
+    table = members_table("study", "tune", trials)
+    assert table["num_action_samples"].to_pylist() == [None, 30]
+    assert table["entropy_scale"].to_pylist() == [0.01, 0.01]
+    assert table["study"].to_pylist() == ["study"] * 2
