@@ -5,10 +5,10 @@ from typing import Protocol
 
 from torch import Tensor
 
-from agents.policies import Continuous
 from agents.population import Population
 from agents.replay import Batch
 from agents.rng import RandomStream
+from agents.spaces import ActionSpace
 
 
 @dataclass(frozen=True)
@@ -16,7 +16,7 @@ class Task:
     """What an algorithm is told of the environment: the size S of an observation, the actions, and the discount γ."""
 
     observation_size: int
-    actions: Continuous
+    actions: ActionSpace
     discount: float
 
 

@@ -1,34 +1,23 @@
-"""Policies for continuous actions as functions of an actor network's outputs, with their gradients in closed form.
+"""Policies as functions of an actor network's outputs, with their gradients in closed form.
 
-A policy is conditioned on outputs [P, B, 2A] (a head for the mean, one for ln σ) and then sampled and differentiated.
-Gradients are with respect to the outputs, so that they can be handed to the actor's `backward`.
+A policy is conditioned on outputs: [P, B, 2A] for continuous actions (a head for the mean, one for ln σ), logits [P, B, n] for n
+discrete ones. Then it is sampled and differentiated: gradients are with respect to the outputs, so that they can be
+handed to the actor's `backward`.
 
 Symbols: m and ℓ the two heads' outputs, μ the mean, σ the standard deviation, x an action before squashing, a an action.
 ln σ = clamp(ℓ, ±ln 1000), with gradient zero where ℓ is outside.
 """
 
 import math
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
+from agents.spaces import Continuous
+
 _LOG_STD_LIMIT = math.log(1000)
 _HALF_LOG_2_PI = 0.5 * math.log(2 * math.pi)
 _SQUASH_EPSILON = 1e-6
-
-
-@dataclass(frozen=True)
-class Continuous:
-    """A box of actions: bounds `low` and `high`, one number a dimension."""
-
-    low: tuple[float, ...]
-    high: tuple[float, ...]
-
-    @property
-    def size(self) -> int:
-        """A, the number of dimensions."""
-        return len(self.low)
 
 
 class Gaussian:
@@ -116,6 +105,32 @@ class SquashedSample:
         of_x = of_actions * self._slope + of_log_prob * log_prob_slope
         of_log_std = of_x * policy.std * self._noise - of_log_prob
         return torch.cat([of_x, of_log_std * policy._inside], dim=-1)
+
+
+class Softmax:
+    """Boltzmann distribution over n actions with logits z: π(a) ∝ exp z_a."""
+
+    def __init__(self, outputs: Tensor) -> None:
+        """Condition on logits [P, B, n] of an actor network."""
+        self.log_probs = torch.log_softmax(outputs, dim=-1)
+        self.probs = torch.exp(self.log_probs)
+
+    def sample(self, uniform: Tensor) -> Tensor:
+        """Return action indices [P, B, 1] (float) for uniform numbers of that shape, by inversion."""
+        below = self.probs.cumsum(dim=-1)[..., :-1] <= uniform
+        return below.sum(dim=-1, keepdim=True).to(self.probs.dtype)
+
+    def log_prob(self, actions: Tensor) -> Tensor:
+        """Return ln π [P, B, 1] of action indices [P, B, 1]."""
+        return self.log_probs.gather(-1, actions.long())
+
+    def log_prob_gradient(self, actions: Tensor) -> Tensor:
+        """Return ∂/∂logits of ln π(a) [P, B, n] for action indices [P, B, 1]."""
+        return torch.zeros_like(self.probs).scatter_(-1, actions.long(), 1.0).sub_(self.probs)
+
+    def expectation_gradient(self, values: Tensor) -> Tensor:
+        """Return ∂/∂logits of Σ_a π(a)·f(a) [P, B, n] for constant values f [P, B, n]."""
+        return self.probs * (values - (self.probs * values).sum(dim=-1, keepdim=True))
 
 
 def _clamped_log_std(raw: Tensor) -> tuple[Tensor, Tensor]:

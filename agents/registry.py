@@ -27,17 +27,22 @@ class Algorithm:
 
 @dataclass(frozen=True)
 class Environment:
-    """An environment by name: its action space's kind, its default cutoff in steps, "module:Class"."""
+    """An environment by name: its action space's kind, its default cutoff in steps, "module:Class".
+
+    The class is made with no arguments, or, where `keeps_state`, with the name and the size of the population.
+    """
 
     name: str
     actions: ActionKind
     cutoff: int
     implementation: str
     results_version: int = 1
+    keeps_state: bool = False
 
-    def load(self) -> Any:
-        """Import and return the class that implements the environment (imports torch)."""
-        return _load(self.implementation)
+    def make(self, population: int) -> Any:
+        """Import and make the environment for a population (imports torch)."""
+        cls = _load(self.implementation)
+        return cls(self.name, population) if self.keeps_state else cls()
 
 
 def _load(implementation: str) -> Any:

@@ -36,7 +36,7 @@ def train(
     """
     known = ENVIRONMENTS[environment]
     population = padded(hypers, seeds, torch.device(device))
-    world = known.load()()
+    world = known.make(len(population))
     stream = population.stream()
     task = Task(world.observation_size, world.actions, discount)
     batch_size = population.shared.batch_size
@@ -57,12 +57,15 @@ def train(
             if step >= batch_size:
                 finite &= agents.update(replay.sample(stream, step, batch_size), step).isfinite()
             elapsed += 1
-            truncated = (elapsed >= (cutoff or known.cutoff)) & ~transition.terminated
+            truncated = elapsed >= (cutoff or known.cutoff)
+            if transition.truncated is not None:
+                truncated |= transition.truncated
+            truncated &= ~transition.terminated
             ended = transition.terminated | truncated
             recorder.add(transition.rewards, transition.terminated, truncated, finite)
             observations = next_observations
             if ended.any():
-                states = torch.where(ended[:, None], world.start(stream, step), states)
+                states = torch.where(ended[:, None], world.start(stream, step, ended), states)
                 observations = world.observe(states)
                 elapsed = elapsed.masked_fill(ended, 0)
             if on_step is not None:

@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from agents.environment import Transition
-from agents.policies import Continuous
 from agents.rng import Purpose, RandomStream
+from agents.spaces import Continuous
 
 _FORCE, _GRAVITY, _GOAL = 0.0015, 0.0025, 0.45
 
@@ -20,7 +20,7 @@ class MountainCar:
     observation_size = 2
     actions = Continuous((-1.0,), (1.0,))
 
-    def start(self, stream: RandomStream, step: int) -> Tensor:
+    def start(self, stream: RandomStream, step: int, where: Tensor | None = None) -> Tensor:
         """Return start states [P, 2]."""
         x = stream.uniforms(Purpose.START_STATE, step, 1).double() * 0.2 - 0.6
         return torch.cat([x, torch.zeros_like(x)], dim=1)

@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from agents.environment import Transition
-from agents.policies import Continuous
 from agents.rng import RandomStream
+from agents.spaces import Continuous
 
 _TIME_STEP, _MAX_SPEED = 0.05, 8.0
 
@@ -24,7 +24,7 @@ class Pendulum:
     observation_size = 2
     actions = Continuous((-2.0,), (2.0,))
 
-    def start(self, stream: RandomStream, step: int) -> Tensor:
+    def start(self, stream: RandomStream, step: int, where: Tensor | None = None) -> Tensor:
         """Return start states [P, 2]."""
         states = torch.zeros(len(stream.seeds), 2, dtype=torch.float64, device=stream.seeds.device)
         states[:, 0] = -math.pi

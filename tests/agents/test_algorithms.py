@@ -10,10 +10,10 @@ from agents.algorithm import Task
 from agents.algorithms.greedy_ac import GreedyAC
 from agents.algorithms.sac import SAC
 from agents.hypers import GreedyACHypers, SACHypers
-from agents.policies import Continuous
 from agents.population import Population
 from agents.replay import Batch
 from agents.rng import Purpose
+from agents.spaces import Continuous
 
 P, B, S = 3, 8, 4
 STEP_SIZES, SCALES, POLYAKS = (1e-2, 1e-3, 3e-4), (0.1, 1.0, 2.0), (0.01, 0.5, 0.1)

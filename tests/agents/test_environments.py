@@ -73,7 +73,7 @@ def test_start_states_follow_the_thesis():
 
 @pytest.mark.parametrize("name", ENVIRONMENTS)
 def test_every_environment_keeps_its_contract(name):
-    world = ENVIRONMENTS[name].load()()
+    world = ENVIRONMENTS[name].make(3)
     stream = RandomStream(torch.tensor([0, 1, 2]))
     states = world.start(stream, 0)
     transition = world.step(states, stream.normals(0, 0, 1))

@@ -4,7 +4,8 @@ import pytest
 import torch
 from torch.distributions import AffineTransform, Independent, Normal, TanhTransform, TransformedDistribution
 
-from agents.policies import Continuous, Gaussian, SquashedGaussian
+from agents.policies import Gaussian, SquashedGaussian
+from agents.spaces import Continuous
 
 SPACE = Continuous((-1.0, 0.0), (2.0, 5.0))
 LOW, HIGH = torch.tensor(SPACE.low), torch.tensor(SPACE.high)

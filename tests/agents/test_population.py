@@ -66,18 +66,12 @@ def test_every_parameter_of_an_agent_is_the_same_alone_and_in_a_crowd(algorithm,
 
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(type(ALGORITHMS[algorithm]), "load", lambda self: Spy)
-            patch.setattr(type(ENVIRONMENTS["Pendulum-CA"]), "load", lambda self: load_pendulum())
             train(algorithm, "Pendulum-CA", hypers, seeds)
         networks = [
             network for network in vars(caught[0]).values() if hasattr(network, "parameters") and hasattr(network, "widths")
         ]
         rows = [network.parameters.view(len(hypers) if len(hypers) > 1 else 2, -1) for network in networks]
         return torch.cat(rows, 1)
-
-    def load_pendulum():
-        from agents.environments.pendulum import Pendulum
-
-        return Pendulum
 
     for count in (2, 5, 33):
         hypers, seeds = settings(algorithm, count, **shared), list(range(count))
