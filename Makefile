@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STORE ?= results
 
-.PHONY: help demo test test-slow test-cluster test-gpu check format bench clean
+.PHONY: help demo test test-slow test-cluster test-gpu test-mujoco check format bench clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*##/\t/' | expand -t 16
@@ -25,6 +25,9 @@ test-cluster: $(VENV)/installed-dev  ## tests that kill processes
 
 test-gpu: $(VENV)/installed-dev  ## tests that need a CUDA device
 	$(BIN)/python -m pytest -m gpu
+
+test-mujoco: $(VENV)/installed-dev  ## tests on MuJoCo's physics
+	$(BIN)/python -m pytest -m mujoco
 
 check: $(VENV)/installed-dev  ## format, lint, types, import contracts, tests
 	$(BIN)/ruff format --check .

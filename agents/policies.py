@@ -58,9 +58,18 @@ class Gaussian:
         of_log_std = (u.square_().sub_(1).mul_(weights)).sum(2)
         return self._of_outputs(of_mean, of_log_std)
 
-    def entropy_gradient(self) -> Tensor:
-        """Return ∂/∂outputs of the normal's entropy Σ ln σ + const [P, B, 2A]."""
-        return self._of_outputs(torch.zeros_like(self.mean), torch.ones_like(self.std))
+    def entropy_gradient(self, estimate: str, noise: Tensor) -> Tensor:
+        """Estimate ∂H/∂outputs [P, B, 2A] of the normal's entropy from an action drawn with noise [P, B, 1, A].
+
+        "sampled": −ln π(a)·∇ln π(a), a not clamped (thesis section 4.4). "analytic": of Σ ln σ + const, exactly (its footnote 5).
+        "score": −∇ln π(a), a clamped, as the author's code has it: zero in expectation but for the clamped actions.
+        """
+        if estimate == "analytic":
+            return self._of_outputs(torch.zeros_like(self.mean), torch.ones_like(self.std))
+        if estimate == "score":
+            return self.log_prob_gradient(self.sample(noise), torch.full((1, 1, 1), -1.0, device=noise.device))
+        action = self.sample_unclamped(noise)
+        return self.log_prob_gradient(action, -self.log_prob(action))
 
     def _of_outputs(self, of_mean: Tensor, of_log_std: Tensor) -> Tensor:
         slope = (1 - self._tanh.square()).mul_(self._half_range)
@@ -105,6 +114,25 @@ class SquashedSample:
         of_x = of_actions * self._slope + of_log_prob * log_prob_slope
         of_log_std = of_x * policy.std * self._noise - of_log_prob
         return torch.cat([of_x, of_log_std * policy._inside], dim=-1)
+
+
+class Deterministic:
+    """A deterministic action, scaled into the action range: a = scale·tanh z + bias. `actions` [P, B, A]."""
+
+    def __init__(self, space: Continuous, outputs: Tensor) -> None:
+        """Condition on outputs z [P, B, A] of an actor network."""
+        self._low, self._high = _bounds(space, outputs.device)
+        self._scale = (self._high - self._low) / 2
+        self._tanh = torch.tanh(outputs)
+        self.actions = self._tanh * self._scale + (self._high + self._low) / 2
+
+    def perturbed(self, noise: Tensor) -> Tensor:
+        """Return the actions with noise [P, B, A] in units of half the range added, clipped to the range."""
+        return torch.clamp(self.actions + noise * self._scale, self._low, self._high)
+
+    def gradient(self, of_actions: Tensor) -> Tensor:
+        """Return ∂L/∂outputs [P, B, A] from ∂L/∂actions [P, B, A]."""
+        return of_actions * self._scale * (1 - self._tanh.square())
 
 
 class Softmax:

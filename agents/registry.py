@@ -1,17 +1,31 @@
 """Names of algorithms and environments → what can be known of them without torch, and where they are implemented."""
 
+import functools
 import importlib
+import inspect
+import os
+import sys
 from dataclasses import dataclass
 from typing import Any
 
-from agents.hypers import ActionKind, GreedyACHypers, Hypers, SACHypers
+from agents.hypers import (
+    ActionKind,
+    DDPGHypers,
+    FreeHypers,
+    GreedyACHypers,
+    Hypers,
+    SACHypers,
+    SACOriginalHypers,
+    VanillaACHypers,
+)
 
 
 @dataclass(frozen=True)
 class Algorithm:
     """An algorithm by name: its hyperparameters, the action spaces it can act in, "module:Class".
 
-    `results_version` is part of every trial's identity: raise it when the same trial would give other numbers.
+    `results_version` is part of every trial's identity: raise it when the same trial would give other numbers. A function
+    that trains `one_trial` at a time is called as `train(config, seed, report)` (`agents.function`).
     """
 
     name: str
@@ -19,6 +33,7 @@ class Algorithm:
     actions: tuple[ActionKind, ...]
     implementation: str
     results_version: int = 1
+    one_trial: bool = False
 
     def load(self) -> Any:
         """Import and return the class that implements the algorithm (imports torch)."""
@@ -29,7 +44,7 @@ class Algorithm:
 class Environment:
     """An environment by name: its action space's kind, its default cutoff in steps, "module:Class".
 
-    The class is made with no arguments, or, where `keeps_state`, with the name and the size of the population.
+    The class is made with the kind of its actions, or, where `keeps_state`, with the name and the size of the population.
     """
 
     name: str
@@ -42,26 +57,105 @@ class Environment:
     def make(self, population: int) -> Any:
         """Import and make the environment for a population (imports torch)."""
         cls = _load(self.implementation)
-        return cls(self.name, population) if self.keeps_state else cls()
+        return cls(self.name, population) if self.keeps_state else cls(self.actions)
+
+
+class AlgorithmLookupError(LookupError):
+    """A name leads to no algorithm that can be trained: `reason` says why."""
+
+    def __init__(self, name: str, reason: str) -> None:
+        """Take the name and what is wrong with it."""
+        super().__init__(name, reason)
+        self.name, self.reason = name, reason
+
+    def __str__(self) -> str:
+        return f'"{self.name}": {self.reason}'
+
+
+class EnvironmentLookupError(LookupError):
+    """A name leads to no environment that can be trained on: `reason` says why.
+
+    `choices` are Gymnasium's registered ids when the name is simply unknown, and empty otherwise.
+    """
+
+    def __init__(self, name: str, reason: str, choices: tuple[str, ...] = ()) -> None:
+        """Take the name, what is wrong with it, and what it could have been."""
+        super().__init__(name, reason, choices)
+        self.name, self.reason, self.choices = name, reason, choices
+
+    def __str__(self) -> str:
+        return f'"{self.name}": {self.reason}'
 
 
 def _load(implementation: str) -> Any:
     module, _, name = implementation.partition(":")
+    here = os.getcwd()
+    if here not in sys.path and "" not in sys.path:
+        sys.path.append(here)
     return getattr(importlib.import_module(module), name)
 
 
 ALGORITHMS: dict[str, Algorithm] = {
     algorithm.name: algorithm
     for algorithm in (
-        Algorithm("GreedyAC", GreedyACHypers, ("continuous",), "agents.algorithms.greedy_ac:GreedyAC"),
-        Algorithm("SAC", SACHypers, ("continuous",), "agents.algorithms.sac:SAC"),
+        Algorithm("DDPG", DDPGHypers, ("continuous",), "agents.algorithms.ddpg:DDPG"),
+        Algorithm("GreedyAC", GreedyACHypers, ("continuous", "discrete"), "agents.algorithms.greedy_ac:GreedyAC"),
+        Algorithm("SAC", SACHypers, ("continuous", "discrete"), "agents.algorithms.sac:SAC"),
+        Algorithm("SAC-original", SACOriginalHypers, ("continuous", "discrete"), "agents.algorithms.sac_original:SACOriginal"),
+        Algorithm("VanillaAC", VanillaACHypers, ("continuous", "discrete"), "agents.algorithms.vanilla_ac:VanillaAC"),
     )
 }
 
 ENVIRONMENTS: dict[str, Environment] = {
     environment.name: environment
     for environment in (
+        Environment("Acrobot-CA", "continuous", 1_000, "agents.environments.acrobot:Acrobot"),
+        Environment("Acrobot-DA", "discrete", 1_000, "agents.environments.acrobot:Acrobot"),
         Environment("MountainCar-CA", "continuous", 1_000, "agents.environments.mountain_car:MountainCar"),
+        Environment("MountainCar-DA", "discrete", 1_000, "agents.environments.mountain_car:MountainCar"),
         Environment("Pendulum-CA", "continuous", 1_000, "agents.environments.pendulum:Pendulum"),
+        Environment("Pendulum-DA", "discrete", 1_000, "agents.environments.pendulum:Pendulum"),
     )
 }
+
+
+@functools.cache
+def find_algorithm(name: str) -> Algorithm:
+    """Return a built-in algorithm, or the user's own that `package.module:Name` leads to: a class or a function.
+
+    The module is imported, from the folder of the call too. A class declares `hypers` (a `Hypers` dataclass), and may declare
+    `actions` (the kinds of action spaces, default both) and `results_version` (default 1), as a function may.
+    Raises AlgorithmLookupError.
+    """
+    if name in ALGORITHMS:
+        return ALGORITHMS[name]
+    module, colon, attribute = name.partition(":")
+    if not colon or not module or not attribute:
+        raise AlgorithmLookupError(name, "unknown agent")
+    try:
+        found = _load(name)
+    except ImportError as error:
+        raise AlgorithmLookupError(name, f"cannot be imported: {error}") from error
+    except AttributeError:
+        raise AlgorithmLookupError(name, f"the module {module} has no {attribute}") from None
+    version = getattr(found, "results_version", 1)
+    if not inspect.isclass(found):
+        if not callable(found):
+            raise AlgorithmLookupError(name, "is neither a class nor a function")
+        return Algorithm(name, FreeHypers, ("continuous", "discrete"), name, version, one_trial=True)
+    hypers = getattr(found, "hypers", None)
+    if not (inspect.isclass(hypers) and issubclass(hypers, Hypers)):
+        raise AlgorithmLookupError(name, "declares no hyperparameters: `hypers` must be a subclass of agents.hypers.Hypers")
+    return Algorithm(name, hypers, tuple(getattr(found, "actions", ("continuous", "discrete"))), name, version)
+
+
+def find_environment(name: str) -> Environment:
+    """Return a built-in environment, or one registered with Gymnasium: `CartPole-v1`, or `package.module:Id-v0`.
+
+    The latter imports the module first. Gymnasium is imported only for names that are not built in, torch never; an environment
+    of Gymnasium's is made once, to see its spaces.
+
+    Raises EnvironmentLookupError when there is none of that name, when something that it needs is not installed, and when its
+    observations or actions are none that agents can be trained with.
+    """
+    return ENVIRONMENTS.get(name) or _load("agents.environments.discovery:describe")(name)

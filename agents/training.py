@@ -10,7 +10,7 @@ from agents.algorithm import Task
 from agents.hypers import Hypers
 from agents.population import padded
 from agents.records import Recorder, Records
-from agents.registry import ALGORITHMS, ENVIRONMENTS
+from agents.registry import ALGORITHMS, find_environment
 from agents.replay import Replay
 
 
@@ -32,9 +32,12 @@ def train(
     beside it. One update follows every step from the `batch_size`-th on; returns are those of the learning policy.
     `cutoff` truncates episodes (default: the environment's own); `on_step` is called after each step with its number.
 
-    Raises KeyError for an unknown algorithm or environment, ValueError when the agents cannot be trained together.
+    `environment` is a built-in name or a Gymnasium id (`agents.registry.find_environment`).
+
+    Raises KeyError for an unknown algorithm, EnvironmentLookupError for an environment that cannot be had, ValueError when the
+    agents cannot be trained together.
     """
-    known = ENVIRONMENTS[environment]
+    known = find_environment(environment)
     population = padded(hypers, seeds, torch.device(device))
     world = known.make(len(population))
     stream = population.stream()

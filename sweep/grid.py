@@ -14,11 +14,9 @@ from typing import Annotated, Any
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
-from agents.registry import ALGORITHMS, ENVIRONMENTS
+from agents.registry import find_algorithm, find_environment
 from sweep import grid_checks
 from sweep.messages import UserError, suggestion
-
-_MAX_SEED = 2**63 - 1
 
 
 class _Section(BaseModel):
@@ -26,11 +24,11 @@ class _Section(BaseModel):
 
 
 def _seeds(value: Any) -> Any:
-    if type(value) is int and 1 <= value <= 10_000_000:
-        return value
-    if isinstance(value, list) and value and all(type(seed) is int and 0 <= seed <= _MAX_SEED for seed in value):
-        return value
-    raise ValueError("must be a count of seeds (1 or more) or a list of seeds (whole numbers from 0)")
+    if not grid_checks.are_seeds(value):
+        raise ValueError(
+            f"must be a count of seeds (1 to {grid_checks.MAX_SEEDS:,}) or a list of seeds (whole numbers from 0, below 2^62)"
+        )
+    return value
 
 
 _Seeds = Annotated[Any, BeforeValidator(_seeds)]
@@ -57,7 +55,7 @@ class AgentSection(_Section):
     """[[agent]]"""
 
     name: str
-    environments: list[str] = ["*"]
+    environments: Annotated[list[str], Field(min_length=1)] = ["*"]
     fixed: dict[str, Any] = {}
     sweep: dict[str, Any] = {}
 
@@ -150,7 +148,7 @@ def _resolve(file: GridFile, text: str) -> Grid:
 
 def _resolve_agent(agent: AgentSection, file: GridFile) -> AgentGrid:
     """The agent's own values come before the study's, and swept values before fixed ones of the same table."""
-    known = ALGORITHMS[agent.name].hypers.table
+    known = find_algorithm(agent.name).hypers.table
     values: dict[str, tuple[Any, ...]] = {}
     for fixed, swept in ((file.fixed, file.sweep), (agent.fixed, agent.sweep)):
         values |= {name: (known[name].check(value),) for name, value in fixed.items() if name in known}
@@ -159,7 +157,7 @@ def _resolve_agent(agent: AgentSection, file: GridFile) -> AgentGrid:
         environment
         for environment in file.study.environments
         if any(fnmatchcase(environment, pattern) for pattern in agent.environments)
-        and ENVIRONMENTS[environment].actions in ALGORITHMS[agent.name].actions
+        and find_environment(environment).actions in find_algorithm(agent.name).actions
     )
     return AgentGrid(agent.name, environments, values)
 

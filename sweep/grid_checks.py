@@ -5,14 +5,24 @@ has the wrong form is passed over here, because pydantic has already complained 
 """
 
 import math
+from collections import Counter
 from fnmatch import fnmatchcase
 from typing import Any
 
 from agents.hypers import Hyper, HyperparameterError
-from agents.registry import ALGORITHMS, ENVIRONMENTS, Algorithm
-from sweep.messages import suggestion
+from agents.registry import (
+    ALGORITHMS,
+    ENVIRONMENTS,
+    Algorithm,
+    AlgorithmLookupError,
+    EnvironmentLookupError,
+    find_algorithm,
+    find_environment,
+)
+from sweep.messages import nearest, suggestion
 
-MAX_TRIALS = 10_000_000
+MAX_TRIALS = 1_000_000
+MAX_SEEDS = 1_000_000
 _FORMS = "a list, { values = […] }, { logspace = [first exponent, last exponent, count] } or { range = [first, last, step] }"
 
 
@@ -23,7 +33,7 @@ def problems(raw: dict[str, Any]) -> list[str]:
     environments = _list(_table(raw.get("study")).get("environments"))
     found += _environment_problems(environments)
     found += _seed_problems(_table(raw.get("seeds")))
-    known = [ALGORITHMS[agent["name"]] for agent in agents if str(agent.get("name")) in ALGORITHMS]
+    known = [algorithm for agent in agents if isinstance(algorithm := _algorithm(agent.get("name")), Algorithm)]
     shared_names = sorted({name for algorithm in known for name in algorithm.hypers.table})
     for section in ("fixed", "sweep"):
         for name, value in _table(raw.get(section)).items():
@@ -90,22 +100,37 @@ def _series(form: str, arguments: list[Any]) -> list[float | int]:
 def _environment_problems(environments: list[Any]) -> list[str]:
     found = []
     for number, name in enumerate(environments, start=1):
-        if isinstance(name, str) and name not in ENVIRONMENTS:
-            found.append(f'study.environments[{number}] = "{name}": unknown environment; {suggestion(name, ENVIRONMENTS)}')
+        if isinstance(name, str) and (problem := _environment_problem(name)):
+            found.append(f'study.environments[{number}] = "{name}": {problem}')
         if name in environments[: number - 1]:
             found.append(f'study.environments[{number}] = "{name}": listed twice')
     return found
+
+
+def _environment_problem(name: str) -> str | None:
+    try:
+        find_environment(name)
+    except EnvironmentLookupError as error:
+        if not error.choices:
+            return error.reason
+        ids = nearest(name, error.choices, 2) or ["CartPole-v1"]
+        return f"{error.reason}; {suggestion(name, ENVIRONMENTS)}; or a Gymnasium id, such as {', '.join(ids)}"
+    return None
 
 
 def _seed_problems(section: dict[str, Any]) -> list[str]:
     found = []
     lists = {key: value for key, value in section.items() if key in ("tune", "evaluate") and isinstance(value, list)}
     for key, listed in lists.items():
-        twice = sorted({seed for seed in listed if type(seed) is int and listed.count(seed) > 1})
+        twice = (
+            sorted(seed for seed, count in Counter(listed).items() if type(seed) is int and count > 1)
+            if are_seeds(listed)
+            else []
+        )
         if twice:
             found.append(f"seeds.{key}: seed {twice[0]} is listed twice")
     tune, evaluate = section.get("tune"), section.get("evaluate")
-    if _are_seeds(tune) and _are_seeds(evaluate):
+    if are_seeds(tune) and are_seeds(evaluate):
         explicit = seeds(tune, evaluate)  # type: ignore[arg-type]
         overlap = sorted(set(explicit[0]) & set(explicit[1]))
         if overlap:
@@ -114,38 +139,49 @@ def _seed_problems(section: dict[str, Any]) -> list[str]:
     return found
 
 
-def _are_seeds(value: Any) -> bool:
+def are_seeds(value: Any) -> bool:
     if isinstance(value, list):
-        return bool(value) and all(type(seed) is int for seed in value)
-    return type(value) is int and value >= 1
+        return bool(value) and all(type(seed) is int and 0 <= seed < 2**62 for seed in value)
+    return type(value) is int and 1 <= value <= MAX_SEEDS
 
 
 def _agent_problems(place: str, agent: dict[str, Any], environments: list[str]) -> list[str]:
     name = agent.get("name")
-    algorithm = ALGORITHMS.get(name) if isinstance(name, str) else None
-    if algorithm is None:
-        return [f'{place}.name = "{name}": unknown agent; {suggestion(name, ALGORITHMS)}'] if isinstance(name, str) else []
+    algorithm = _algorithm(name)
+    if not isinstance(algorithm, Algorithm):
+        return [f'{place}.name = "{name}": {algorithm}'] if algorithm else []
     found = []
     for section in ("fixed", "sweep"):
         for hyper_name, value in _table(agent.get(section)).items():
-            hyper = algorithm.hypers.table.get(hyper_name)
-            where = f"{place}.{section}.{hyper_name}"
-            found += _hyper_problems(where, section, hyper_name, value, [hyper] if hyper else [], algorithm.hypers.table)
+            table = algorithm.hypers.table
+            hypers = [table[hyper_name]] if hyper_name in table else []
+            found += _hyper_problems(f"{place}.{section}.{hyper_name}", section, hyper_name, value, hypers, table)
     found += _named_twice(agent, f"{place}.")
     found += _pattern_problems(f"{place}.environments", algorithm, agent.get("environments", ["*"]), environments)
     return found
 
 
+def _algorithm(name: Any) -> Algorithm | str | None:
+    """Return the algorithm of that name, or what is wrong with the name; None where it is not a name at all."""
+    if not isinstance(name, str):
+        return None
+    try:
+        return find_algorithm(name)
+    except AlgorithmLookupError as error:
+        return error.reason if ":" in name else f"{error.reason}; {suggestion(name, ALGORITHMS)}; or package.module:Name"
+
+
 def _hyper_problems(place: str, section: str, name: str, value: Any, hypers: list[Hyper], known: Any) -> list[str]:
     if not hypers:
         return [f"{place}: unknown hyperparameter; {suggestion(name, known)}"] if known else []
-    try:
-        if section == "sweep":
-            swept_values(hypers[0], value)
-        else:
-            hypers[0].check(value)
-    except HyperparameterError as error:
-        return [f"{place}: {error}" if section == "sweep" else f"{place} = {value!r}: {error}"]
+    for hyper in hypers:  # every agent that has it must be able to take it
+        try:
+            if section == "sweep":
+                swept_values(hyper, value)
+            else:
+                hyper.check(value)
+        except HyperparameterError as error:
+            return [f"{place}: {error}" if section == "sweep" else f"{place} = {value!r}: {error}"]
     return []
 
 
@@ -162,7 +198,7 @@ def _pattern_problems(place: str, algorithm: Algorithm, patterns: Any, environme
         matched = [name for name in environments if fnmatchcase(name, pattern)]
         if environments and not matched:
             found.append(f'{place}[{number}] = "{pattern}": matches none of the study\'s environments: {", ".join(environments)}')
-        known = [ENVIRONMENTS[name] for name in matched if name in ENVIRONMENTS]
+        known = [find_environment(name) for name in matched if _environment_problem(name) is None]
         if known and all(environment.actions not in algorithm.actions for environment in known):
             found.append(f"{place}: {algorithm.name} acts in {' and '.join(algorithm.actions)} action spaces only")
     return found

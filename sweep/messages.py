@@ -11,9 +11,16 @@ class UserError(Exception):
 def suggestion(name: str, choices: Iterable[str]) -> str:
     """Return `did you mean "x"? Known: …` (or only the known names when nothing is near)."""
     known = sorted(choices)
-    near = difflib.get_close_matches(name, known, n=1, cutoff=0.6) or difflib.get_close_matches(
-        name.casefold(), [choice.casefold() for choice in known], n=1, cutoff=0.6
-    )
-    match = next((choice for choice in known if near and choice.casefold() == near[0].casefold()), None)
+    match = next(iter(nearest(name, known, 1)), None)
     start = f'did you mean "{match}"? ' if match else ""
     return f"{start}Known: {', '.join(known)}"
+
+
+def nearest(name: str, choices: Iterable[str], count: int) -> list[str]:
+    """Return up to `count` of the choices that are near to a name, the nearest first, whatever their case."""
+    known = list(choices)
+    near = difflib.get_close_matches(name, known, n=count, cutoff=0.6)
+    if not near:
+        folded = {choice.casefold(): choice for choice in known}
+        near = [folded[match] for match in difflib.get_close_matches(name.casefold(), folded, n=count, cutoff=0.6)]
+    return near

@@ -90,9 +90,9 @@ MEMBERS = _table(
 
 
 def hyper_field(name: str, value: Any) -> pa.Field:
-    """Return the column of a hyperparameter from one of its values: float64, int64, string or list of int64."""
+    """Return the column of a hyperparameter from one of its values: float64, int64, string, bool, or a list of these."""
     if isinstance(value, tuple | list):
-        return pa.field(name, pa.list_(pa.int64()))
+        return pa.field(name, pa.list_(hyper_field("item", value[0]).type if value else pa.int64()))
     types: Mapping[type, pa.DataType] = {float: pa.float64(), int: pa.int64(), str: pa.string(), bool: pa.bool_()}
     return pa.field(name, types[type(value)])
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+from agents.registry import find_algorithm
 from sweep.trials import Trial
 
 #: A population of 16 reaches most of what a core gives; one much larger than 64 no longer fits into its cache.
@@ -50,7 +51,8 @@ def pack(trials: Sequence[Trial], slots: int) -> list[Shard]:
         groups.setdefault(key, []).append(trial)
     shards = []
     for group in groups.values():
-        size = _population(len(trials), group[0].steps, slots)
+        alone = find_algorithm(group[0].agent).one_trial
+        size = 1 if alone else _population(len(trials), group[0].steps, slots)
         count = math.ceil(len(group) / size)
         bounds = [round(i * len(group) / count) for i in range(count + 1)]
         shards += [Shard(tuple(group[a:b])) for a, b in itertools.pairwise(bounds)]

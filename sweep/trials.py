@@ -14,7 +14,7 @@ from functools import cached_property
 from typing import Any
 
 from agents.hypers import HyperparameterError, Hypers
-from agents.registry import ALGORITHMS, ENVIRONMENTS
+from agents.registry import find_algorithm, find_environment
 from sweep.grid import AgentGrid, Grid
 from sweep.grid_checks import MAX_TRIALS
 from sweep.messages import UserError
@@ -37,7 +37,7 @@ class Trial:
     @cached_property
     def applicable_hypers(self) -> dict[str, Any]:
         """Name → value of the hyperparameters that the agent uses on the environment."""
-        return self.hypers.applicable(ENVIRONMENTS[self.environment].actions)
+        return self.hypers.applicable(find_environment(self.environment).actions)
 
     @cached_property
     def setting(self) -> str:
@@ -51,7 +51,7 @@ class Trial:
             {
                 **self._setting_identity,
                 "environment": self.environment,
-                "environment_version": ENVIRONMENTS[self.environment].results_version,
+                "environment_version": find_environment(self.environment).results_version,
                 "seed": self.seed,
                 "steps": self.steps,
                 "cutoff": self.cutoff,
@@ -64,8 +64,8 @@ class Trial:
         return {
             "schema": _IDENTITY_SCHEMA,
             "agent": self.agent,
-            "agent_version": ALGORITHMS[self.agent].results_version,
-            "hypers": self.applicable_hypers,
+            "agent_version": find_algorithm(self.agent).results_version,
+            "hypers": self.hypers.identity(find_environment(self.environment).actions),
         }
 
 
@@ -91,7 +91,7 @@ def expand(grid: Grid) -> list[Trial]:
         for environment in agent.environments:
             for hypers in settings:
                 for seed in grid.tune_seeds:
-                    cutoff = grid.cutoff or ENVIRONMENTS[environment].cutoff
+                    cutoff = grid.cutoff or find_environment(environment).cutoff
                     trial = Trial(agent.name, environment, hypers, seed, grid.steps, cutoff, grid.discount)
                     trials.setdefault(trial.id, trial)
     if contradictions:
@@ -102,6 +102,6 @@ def expand(grid: Grid) -> list[Trial]:
 def _settings(agent: AgentGrid, contradictions: dict[str, None]) -> Iterator[Hypers]:
     for values in itertools.product(*agent.values.values()):
         try:
-            yield ALGORITHMS[agent.name].hypers(**dict(zip(agent.values, values, strict=True)))
+            yield find_algorithm(agent.name).hypers(**dict(zip(agent.values, values, strict=True)))
         except HyperparameterError as error:
             contradictions[f"{agent.name}: {error}"] = None

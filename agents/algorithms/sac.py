@@ -1,25 +1,33 @@
-"""Soft Actor-Critic as it is used today (thesis Algorithm 1, "SAC-M", called SAC from chapter 5 on), continuous actions.
+"""Soft Actor-Critic as it is used today (thesis Algorithm 1, "SAC-M", called SAC from chapter 5 on).
 
-Two soft critics and their targets, valued by the smaller; a squashed Gaussian actor that follows the reparameterized gradient.
-Shapes: population P, batch B, action dimensions A. The two critics of agent p are the networks 2p and 2p + 1.
+Two soft critics and their targets, valued by the smaller. With continuous actions a squashed Gaussian actor follows the
+reparameterized gradient, with discrete ones a softmax actor the exact expectation.
+Shapes: population P, batch B, action dimensions A, discrete actions n.
 
 Deviations from the printed pseudo-code:
-- Line 10 uses the online critics; section 3 and Haarnoja et al. (2019) use the target networks, as here.
+- Line 10 uses the online critics; section 2.3 and Haarnoja et al. (2019) use the target networks, as here.
 - Line 10 puts −τ ln π outside γ and knows no termination: y = R + γ·continues·(min_i q_targ,i(S', A') − τ ln π(A'|S')).
 - Lines 11 and 15 add the gradients of losses; they are descended here.
-- One sample a state estimates the KL divergence of line 15; the partition function does not depend on φ.
+- Line 15: one sample a state estimates the KL divergence (continuous); the partition function does not depend on φ.
+- The author's code takes ln π(a'_j | s'_0), of the batch's first state, for every j (discrete); here it is ln π(a'_j | s'_j).
+- `entropy_tuning` "automatic" learns τ toward an entropy of −A (or 0.98·ln n) by gradient descent on
+  ln τ·(−ln π(A|S) − target) (Haarnoja et al., 2019, equation 18); the thesis keeps it fixed.
 """
+
+import math
 
 import torch
 from torch import Tensor
 
+from agents.actor import Actor
 from agents.algorithm import Task
-from agents.networks import PopulationMLP, polyak_average_
+from agents.critic import Critic
 from agents.optimizer import PopulationAdam
-from agents.policies import SquashedGaussian, SquashedSample
+from agents.policies import Softmax, SquashedGaussian
 from agents.population import Population
 from agents.replay import Batch
 from agents.rng import Purpose, RandomStream
+from agents.spaces import Continuous, Discrete
 
 
 class SAC:
@@ -27,74 +35,76 @@ class SAC:
 
     def __init__(self, population: Population, task: Task, stream: RandomStream) -> None:
         """Initialize θ_1, θ_2, θ_1,targ, θ_2,targ, φ (line 2)."""
-        P, S, A = len(population), task.observation_size, task.actions.size
-        hypers = population.shared
-        self.task, self.stream = task, stream
+        self.space = task.actions
         self.entropy_scale = population.stacked("entropy_scale")[:, None, None]
-        self.polyak = _twice(population.stacked("polyak")[:, None])
-
-        self.critics = PopulationMLP(2 * P, S + A, hypers.hidden_layers, (1,), population.device)
-        self.targets = PopulationMLP(2 * P, S + A, hypers.hidden_layers, (1,), population.device)
-        self.actor = PopulationMLP(P, S, hypers.hidden_layers, (A, A), population.device)
-        size = self.critics.parameters.shape[1]
-        uniform = [stream.uniforms(Purpose.INITIAL_WEIGHTS, index, size) for index in (0, 1)]
-        self.critics.initialize_(torch.stack(uniform, dim=1).flatten(0, 1))
-        self.actor.initialize_(stream.uniforms(Purpose.INITIAL_WEIGHTS, 2, self.actor.parameters.shape[1]))
-        self.targets.parameters.copy_(self.critics.parameters)
-
-        self.critic_optimizer = PopulationAdam(self.critics.parameters, _twice(population.stacked("critic_step_size")))
-        self.actor_optimizer = PopulationAdam(self.actor.parameters, population.stacked("actor_step_size"))
+        self.critic = Critic(population, task, stream, double=True)
+        self.actor = Actor(population, task, stream, network=2)
+        self.tuning = None
+        if population.shared.entropy_tuning == "automatic":
+            self.tuning = EntropyTuning(self.entropy_scale, population.stacked("critic_step_size"), task)
 
     def act(self, observations: Tensor, step: int) -> Tensor:
         """Draw A ~ π(·|S) (line 6)."""
-        return self._sample_actor(observations.unsqueeze(1), Purpose.ACTION, step).actions.squeeze(1)
+        states = observations.unsqueeze(1)
+        if isinstance(self.space, Discrete):
+            return self.actor.sample(states, Purpose.ACTION, step).squeeze(1)
+        return self.actor.sample_squashed(states, Purpose.ACTION, step).actions.squeeze(1)
 
     def update(self, batch: Batch, step: int) -> Tensor:
         """Update critics, targets and actor, in this order (lines 9–15)."""
-        loss = self._update_critics(batch, step)
-        polyak_average_(self.targets.parameters, self.critics.parameters, self.polyak)  # line 13
-        self._update_actor(batch.states, step)
+        next_actions, log_prob = self._next_actions(batch.next_states, step)
+        next_values = self.critic.target_values(batch.next_states, next_actions) - self.entropy_scale * log_prob
+        loss = self.critic.learn(batch, next_values)  # lines 9–11
+        self.critic.update_target()  # lines 12–13
+        if isinstance(self.space, Continuous):
+            log_prob = self._update_gaussian_actor(self.space, batch.states, step)
+        else:
+            log_prob = self._update_softmax_actor(batch.states)
+        if self.tuning is not None:
+            self.tuning.step_(log_prob)
         return loss
 
-    def _update_critics(self, batch: Batch, step: int) -> Tensor:
-        """Descend the mean of (y − q_i(S, A))² (lines 9–11)."""
-        P, B, _ = batch.states.shape
-        after = self._sample_actor(batch.next_states, Purpose.NEXT_ACTION, step)
-        next_values = self.targets.forward(_twice(torch.cat([batch.next_states, after.actions], dim=-1)))
-        next_values = next_values.view(P, 2, B, 1).amin(dim=1)  # line 3
-        targets = batch.rewards + self.task.discount * batch.continues * (next_values - self.entropy_scale * after.log_prob)
-        values, kept = self.critics.forward_for_gradient(_twice(batch.states_actions))
-        errors = values - _twice(targets)
-        self.critics.backward(kept, errors * (2 / B))
-        self.critic_optimizer.step_(self.critics.gradient)
-        return errors.square().view(P, -1).mean(dim=1) * 2
+    def _next_actions(self, states: Tensor, step: int) -> tuple[Tensor, Tensor]:
+        """Draw A' ~ π(·|S') [P, B, A] and return its ln π [P, B, 1]."""
+        if isinstance(self.space, Continuous):
+            after = self.actor.sample_squashed(states, Purpose.NEXT_ACTION, step)
+            return after.actions, after.log_prob
+        policy = Softmax(self.actor.outputs(states))
+        B = states.shape[1]
+        actions = policy.sample(self.actor.stream.uniforms(Purpose.NEXT_ACTION, step, B).view(-1, B, 1))
+        return actions, policy.log_prob(actions)
 
-    def _update_actor(self, states: Tensor, step: int) -> None:
-        """Descend the mean of τ ln π(A|S) − min_i q_i(S, A), A reparameterized (line 15)."""
-        P, B, S = states.shape
-        outputs, actor_kept = self.actor.forward_for_gradient(states)
-        noise = self.stream.normals(Purpose.POLICY_UPDATE, step, B * self.task.actions.size).view(P, B, -1)
-        sample = SquashedGaussian(self.task.actions, outputs).sample(noise)
-        values, kept = self.critics.forward_for_gradient(_twice(torch.cat([states, sample.actions], dim=-1)))
-        of_values = _is_smaller_twin(values.view(P, 2, B, 1)).mul_(-1 / B).view(2 * P, B, 1)
-        of_inputs = self.critics.backward(kept, of_values, parameters=False, inputs=True)
-        assert of_inputs is not None
-        of_actions = of_inputs.view(P, 2, B, -1).sum(dim=1)[..., S:]
-        self.actor.backward(actor_kept, sample.gradient(of_actions, (self.entropy_scale / B).expand(P, B, 1)))
-        self.actor_optimizer.step_(self.actor.gradient)
+    def _update_gaussian_actor(self, space: Continuous, states: Tensor, step: int) -> Tensor:
+        """Descend the mean of τ ln π(A|S) − min_i q_i(S, A), A reparameterized (line 15); return ln π(A|S) [P, B, 1]."""
+        B = states.shape[1]
+        outputs, kept = self.actor.outputs_for_gradient(states)
+        sample = SquashedGaussian(space, outputs).sample(self.actor.noise(Purpose.POLICY_UPDATE, step, B, space.size))
+        valuation = self.critic.evaluate(states, sample.actions)
+        of_actions = valuation.action_gradient(torch.full_like(valuation.values, -1 / B))
+        self.actor.descend(kept, sample.gradient(of_actions, (self.entropy_scale / B).expand_as(valuation.values)))
+        return sample.log_prob
 
-    def _sample_actor(self, states: Tensor, purpose: Purpose, step: int) -> SquashedSample:
-        P, B, _ = states.shape
-        policy = SquashedGaussian(self.task.actions, self.actor.forward(states))
-        return policy.sample(self.stream.normals(purpose, step, B * self.task.actions.size).view(P, B, -1))
+    def _update_softmax_actor(self, states: Tensor) -> Tensor:
+        """Ascend the mean of Σ_a π(a)·[min_i q_i(S, a) − τ ln π(a)], the bracket constant (line 15); return Σ_a π ln π."""
+        outputs, kept = self.actor.outputs_for_gradient(states)
+        policy = Softmax(outputs)
+        bracket = self.critic.values_of_all_actions(states) - self.entropy_scale * policy.log_probs
+        self.actor.descend(kept, policy.expectation_gradient(bracket).mul_(-1 / states.shape[1]))
+        return (policy.probs * policy.log_probs).sum(dim=-1, keepdim=True)
 
 
-def _twice(x: Tensor) -> Tensor:
-    """Return [2P, …] with every agent's slice twice in a row: one for each of its critics."""
-    return x.repeat_interleave(2, dim=0)
+class EntropyTuning:
+    """Learns each agent's τ by Adam on ln τ; writes it to `entropy_scale` [P, 1, 1] in place."""
 
+    def __init__(self, entropy_scale: Tensor, step_sizes: Tensor, task: Task) -> None:
+        """Start from the given τ (at least 1e-8) with the critic's step-sizes [P]."""
+        self.entropy_scale = entropy_scale
+        self.log_scale = entropy_scale.clamp(min=1e-8).log().view(-1, 1)
+        self.optimizer = PopulationAdam(self.log_scale, step_sizes)
+        discrete = isinstance(task.actions, Discrete)
+        self.target = 0.98 * math.log(task.actions.count) if discrete else -float(task.actions.size)  # type: ignore[union-attr]
 
-def _is_smaller_twin(values: Tensor) -> Tensor:
-    """Return 1 where a critic's value [P, 2, B, 1] is the smaller of the two (the first where they are equal), else 0."""
-    first = (values[:, :1] <= values[:, 1:]).to(values.dtype)
-    return torch.cat([first, 1 - first], dim=1)
+    def step_(self, log_prob: Tensor) -> None:
+        """Descend ln τ·(−mean ln π − target), for ln π [P, B, 1] of the policy before its update."""
+        self.optimizer.step_(-log_prob.mean(dim=(1, 2)).unsqueeze(1) - self.target)
+        self.entropy_scale.copy_(self.log_scale.exp().view(-1, 1, 1))

@@ -12,6 +12,11 @@ from agents.registry import ALGORITHMS, ENVIRONMENTS
         ("critic_step_size", -1e-3, "critic_step_size = -0.001: must be greater than 0"),
         ("critic_step_size", 0, "critic_step_size = 0: must be greater than 0"),
         ("critic_step_size", math.nan, "critic_step_size = nan: must be finite"),
+        ("critic_step_size", 1e308, "critic_step_size = 1e+308: is too large"),
+        ("critic_step_size", 10**400, f"critic_step_size = {10**400}: is too large"),
+        ("critic_step_size", 1e-60, "critic_step_size = 1e-60: is too small: single precision takes it for 0"),
+        ("replay_capacity", 10**20, f"replay_capacity = {10**20}: is too large"),
+        ("hidden_layers", [10**9], f"hidden_layers = [{10**9}]: must be a list of layer widths, such as [64, 64]"),
         ("critic_step_size", "0.1", "critic_step_size = '0.1': must be a number"),
         ("critic_step_size", True, "critic_step_size = True: must be a number"),
         ("polyak", 1.5, "polyak = 1.5: must be at most 1"),
@@ -37,6 +42,7 @@ def test_a_bad_value_is_named_with_what_would_be_valid(name, value, message):
 
 def test_values_take_their_canonical_type():
     hypers = GreedyACHypers(critic_step_size=1, batch_size=16.0, hidden_layers=[64, 32])
+    assert str(SACHypers(entropy_scale=-0.0).entropy_scale) == "0.0"
     assert (type(hypers.critic_step_size), type(hypers.batch_size), hypers.hidden_layers) == (float, int, (64, 32))
 
 

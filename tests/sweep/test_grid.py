@@ -1,5 +1,6 @@
 import pytest
 
+from agents.registry import ENVIRONMENTS
 from sweep import load
 from sweep.grid import builtin_grids, parse
 from sweep.messages import UserError
@@ -64,10 +65,11 @@ def test_logspace_gives_the_powers_that_one_would_type():
     assert grid.agents[0].values["critic_step_size"] == (1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
 
 
-HYPERS = (
-    "actor_step_size_scale, batch_size, critic_step_size, elite_fraction, entropy_gradient, entropy_scale, "
-    "hidden_layers, num_action_samples, polyak, replay_capacity"
+GREEDY_AC = (
+    "actor_step_size_scale, batch_size, critic_step_size, discrete_critic_input, elite_fraction, elite_reduction, "
+    "entropy_gradient, entropy_scale, hidden_layers, num_action_samples, polyak, replay_capacity"
 )
+BOTH = GREEDY_AC.replace("entropy_scale,", "entropy_scale, entropy_tuning,")
 BAD = [
     (
         "steps = 1000",
@@ -87,23 +89,45 @@ BAD = [
     (
         '"MountainCar-CA"]',
         '"MountainCar"]',
-        'study.environments[2] = "MountainCar": unknown environment; did you mean "MountainCar-CA"? '
-        "Known: MountainCar-CA, Pendulum-CA",
+        'study.environments[2] = "MountainCar": unknown environment; did you mean "MountainCar-DA"? '
+        f"Known: {', '.join(ENVIRONMENTS)}; or a Gymnasium id, such as MountainCar-v0, MountainCarContinuous-v0",
+    ),
+    (
+        '"MountainCar-CA"]',
+        '"cartpole-v1"]',
+        f'study.environments[2] = "cartpole-v1": unknown environment; Known: {", ".join(ENVIRONMENTS)}; '
+        "or a Gymnasium id, such as CartPole-v1, CartPole-v0",
+    ),
+    (
+        '"MountainCar-CA"]',
+        '"FrozenLake-v1"]',
+        'study.environments[2] = "FrozenLake-v1": observations in Discrete(16) are not supported, only vectors: '
+        "Box with one dimension",
+    ),
+    (
+        '"MountainCar-CA"]',
+        '"counting_environments:counting/Unbounded-v0"]',
+        'study.environments[2] = "counting_environments:counting/Unbounded-v0": actions in Box(-inf, inf, (1,), float32) are '
+        "unbounded; a Box of actions must be bounded",
     ),
     ('"MountainCar-CA"]', '"Pendulum-CA"]', 'study.environments[2] = "Pendulum-CA": listed twice'),
     ('["Pendulum-CA", "MountainCar-CA"]', "[]", "study.environments: must not be empty"),
-    ("tune = 2", "tune = 0", "seeds.tune = 0: must be a count of seeds (1 or more) or a list of seeds (whole numbers from 0)"),
+    (
+        "tune = 2",
+        "tune = 0",
+        "seeds.tune = 0: must be a count of seeds (1 to 1,000,000) or a list of seeds (whole numbers from 0, below 2^62)",
+    ),
     (
         "tune = 2",
         "tune = [-1]",
-        "seeds.tune = [-1]: must be a count of seeds (1 or more) or a list of seeds (whole numbers from 0)",
+        "seeds.tune = [-1]: must be a count of seeds (1 to 1,000,000) or a list of seeds (whole numbers from 0, below 2^62)",
     ),
     ("tune = 2", "tune = [1, 1]", "seeds.tune: seed 1 is listed twice"),
     ("evaluate = 3", "evaluate = [1, 2]", "seeds.evaluate: overlaps with seeds.tune (1): evaluation needs fresh seeds"),
     (
         "batch_size = 16",
         "batch_sise = 16",
-        f'fixed.batch_sise: unknown hyperparameter; did you mean "batch_size"? Known: {HYPERS}',
+        f'fixed.batch_sise: unknown hyperparameter; did you mean "batch_size"? Known: {BOTH}',
     ),
     ("batch_size = 16", "batch_size = [16, 32]", "fixed.batch_size = [16, 32]: must be a whole number"),
     ("[1e-2, 0.001]", "[1e-2, -0.001]", "sweep.critic_step_size: value -0.001 must be greater than 0"),
@@ -122,11 +146,15 @@ BAD = [
         "sweep.entropy_scale: range = [first, last, step] needs a step that leads from first to last in at most 10,000 values",
     ),
     ("batch_size = 16", "critic_step_size = 1", "sweep.critic_step_size: is in fixed too; keep one"),
-    ('name = "SAC"', 'name = "sac"', 'agent[1].name = "sac": unknown agent; did you mean "SAC"? Known: GreedyAC, SAC'),
+    (
+        'name = "SAC"',
+        'name = "sac"',
+        'agent[1].name = "sac": unknown agent; did you mean "SAC"? Known: DDPG, GreedyAC, SAC, SAC-original, VanillaAC',
+    ),
     (
         "num_action_samples =",
         "num_actions_samples =",
-        f'agent[2].sweep.num_actions_samples: unknown hyperparameter; did you mean "num_action_samples"? Known: {HYPERS}',
+        f'agent[2].sweep.num_actions_samples: unknown hyperparameter; did you mean "num_action_samples"? Known: {GREEDY_AC}',
     ),
     ('"score"', '"scores"', "agent[2].fixed.entropy_gradient = 'scores': must be one of 'sampled', 'analytic', 'score'"),
     (
@@ -134,6 +162,13 @@ BAD = [
         '["*-DA"]',
         'agent[2].environments[1] = "*-DA": matches none of the study\'s environments: Pendulum-CA, MountainCar-CA',
     ),
+    (
+        "tune = 2",
+        "tune = 100000000000",
+        "seeds.tune = 100000000000: must be a count of seeds (1 to 1,000,000) or a list of seeds "
+        "(whole numbers from 0, below 2^62)",
+    ),
+    ('["Pendulum-*"]', "[]", "agent[2].environments: must not be empty"),
     ("[seeds]", "[seed]", 'seed: unknown key; did you mean "seeds"? Known: agent, fixed, seeds, study, sweep'),
 ]
 
@@ -143,6 +178,12 @@ def test_each_mistake_is_named_with_its_place_its_value_and_what_would_be_valid(
     with pytest.raises(UserError) as caught:
         parse(edited((old, new)), "grid.toml")
     assert f"grid.toml: {message}" in str(caught.value).splitlines()
+
+
+def test_an_agent_that_cannot_act_in_a_gymnasium_environment_is_named():
+    text = edited(('["Pendulum-CA", "MountainCar-CA"]', '["CartPole-v1"]'), ('name = "SAC"', 'name = "DDPG"'))
+    with pytest.raises(UserError, match=r"agent\[1\]\.environments: DDPG acts in continuous action spaces only"):
+        parse(text, "grid.toml")
 
 
 def test_all_mistakes_are_named_at_once():

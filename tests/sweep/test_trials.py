@@ -98,9 +98,17 @@ def test_hyperparameters_that_contradict_one_another_are_refused():
 def test_an_enormous_product_is_refused_before_it_is_expanded():
     series = "{ range = [1, 10000, 1] }"
     text = TEXT + f"sweep = {{ entropy_scale = {series}, actor_step_size_scale = {series} }}\n"
-    with pytest.raises(UserError, match=r"s: 400,000,000 trials; at most 10,000,000"):
+    with pytest.raises(UserError, match=r"s: 400,000,000 trials; at most 1,000,000"):
         expand(parse(text, "a"))
 
 
 def test_the_quickstart_has_two_agents_nine_settings_two_seeds():
     assert len(expand(load("quickstart"))) == 2 * 9 * 2
+
+
+def test_gymnasium_environments_have_their_own_cutoffs_and_kinds_of_actions():
+    names = ["Pendulum-v1", "CartPole-v1", "counting_environments:counting/Box-v0"]
+    text = TEXT.replace('["Pendulum-CA"]', str(names)) + '[[agent]]\nname = "DDPG"\n'
+    trials = expand(parse(text, "grid.toml"))
+    assert {(trial.environment, trial.cutoff) for trial in trials} == set(zip(names, (200, 500, 1000), strict=True))
+    assert {trial.environment for trial in trials if trial.agent == "DDPG"} == {names[0], names[2]}
