@@ -32,8 +32,13 @@ def train(
     beside it. One update follows every step from the `batch_size`-th on; returns are those of the learning policy.
     `cutoff` truncates episodes (default: the environment's own); `on_step` is called after each step with its number.
 
-    Raises KeyError for an unknown algorithm or environment, ValueError when the agents cannot be trained together.
+    Raises KeyError for an unknown algorithm or environment, ValueError when the agents cannot be trained together or are not of
+    this algorithm, or when steps or cutoff are less than 1.
     """
+    if steps < 1 or (cutoff is not None and cutoff < 1):
+        raise ValueError(f"steps = {steps}, cutoff = {cutoff}: must be at least 1")
+    if not all(isinstance(one, ALGORITHMS[algorithm].hypers) for one in hypers):
+        raise ValueError(f"{algorithm} takes {ALGORITHMS[algorithm].hypers.__name__}")
     known = ENVIRONMENTS[environment]
     population = padded(hypers, seeds, torch.device(device))
     world = known.load()()
@@ -73,11 +78,12 @@ def train(
 @contextmanager
 def _denormals_flushed() -> Iterator[None]:
     """Treat denormal numbers as zero: Adam's moments reach them in long runs, and they are slow."""
+    flushed_before = torch.tensor(1e-40) * 1 == 0
     torch.set_flush_denormal(True)
     try:
         yield
     finally:
-        torch.set_flush_denormal(False)
+        torch.set_flush_denormal(bool(flushed_before))
 
 
 def _without_copies(records: Records, num_agents: int) -> Records:

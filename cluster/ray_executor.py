@@ -5,6 +5,7 @@ Ray runs a task at least once; the store's commit makes that exactly once. A wor
 
 import logging
 import os
+import socket
 from pathlib import Path
 
 # Before the import: Ray reads them then. Usage statistics off; token authentication without a line about it.
@@ -15,9 +16,22 @@ os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
 import ray
 
 from cluster.worker import Receipt, Work, run_shard
+from sweep.messages import UserError
 
 _OBJECT_STORE_BYTES = 100 * 2**20
 _MAX_RETRIES = 3
+_CONNECT_SECONDS = 10.0
+
+
+def check_address(address: str) -> None:
+    """Raise UserError when nothing listens there: Ray itself would try for minutes."""
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if not host or not port.isdigit():
+        raise UserError(f"--address {address}: must be HOST:PORT, as `ray start --head` prints it")
+    try:
+        socket.create_connection((host, int(port)), timeout=_CONNECT_SECONDS).close()
+    except OSError as error:
+        raise UserError(f"--address {address}: no Ray cluster answers there: {error}") from None
 
 
 def _run_shard(work: Work, umask: int) -> Receipt:
@@ -69,7 +83,7 @@ class RayExecutor:
         try:
             return ray.get(reference)
         except ray.exceptions.RayError as error:
-            return Receipt(work.shard.id, len(work.shard.trials), work.shard.agent_steps, error=str(error) or repr(error))
+            return Receipt(work.shard, "unknown", error=str(error) or repr(error))
 
     def close(self) -> None:
         self._running.clear()

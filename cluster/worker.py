@@ -1,5 +1,6 @@
 """What runs where the training happens: one shard, from its trials to its committed rows."""
 
+import socket
 import time
 import traceback
 from collections.abc import Callable
@@ -15,7 +16,7 @@ _REPORT_SECONDS = 1.0
 
 @dataclass(frozen=True)
 class Work:
-    """A shard, the store that its rows go to, and how it is to be trained."""
+    """A shard, the store that its rows go to, and how it is to be trained: on `device` (auto, cpu, cuda), with `threads`."""
 
     shard: Shard
     store: str
@@ -27,35 +28,30 @@ class Work:
 class Receipt:
     """What a worker sends back: never rows, which are in the store. `error` is a traceback, or None."""
 
-    shard: str
-    trials: int
-    agent_steps: int
+    shard: Shard
+    host: str
     diverged: int = 0
-    seconds: float = 0.0
     error: str | None = None
 
 
-def run_shard(work: Work) -> Receipt:
-    """Train a shard and commit its rows. An error is recorded in the store and returned, not raised."""
+def run_shard(work: Work, on_progress: Callable[[], None] | None = None) -> Receipt:
+    """Train a shard and commit its rows. An error is returned, not raised. `on_progress` is called about once a second."""
     try:
-        return _train_and_commit(work)
-    except Exception as error:
-        text = traceback.format_exc()
-        store = Store(work.store)
-        store.clear_progress(work.shard.id)
-        trials = [trial.id for trial in work.shard.trials]
-        store.record_failure(work.shard.id, {"error": repr(error), "traceback": text, "trials": trials})
-        return Receipt(work.shard.id, len(trials), work.shard.agent_steps, error=text)
+        return _train_and_commit(work, on_progress)
+    except Exception:
+        return Receipt(work.shard, socket.gethostname(), error=traceback.format_exc())
 
 
-def _train_and_commit(work: Work) -> Receipt:
+def _train_and_commit(work: Work, on_progress: Callable[[], None] | None) -> Receipt:
     import torch
 
     from agents.networks import ENGINE
     from agents.training import train
 
     torch.set_num_threads(work.threads)
+    device = ("cuda" if torch.cuda.is_available() else "cpu") if work.device == "auto" else work.device
     store, shard = Store.open(work.store), work.shard
+    origin = provenance.of_this_process(device, ENGINE)  # before the training: the code may change meanwhile
     first = shard.trials[0]
     started = time.perf_counter()
     records = train(
@@ -66,17 +62,15 @@ def _train_and_commit(work: Work) -> Receipt:
         steps=first.steps,
         cutoff=first.cutoff,
         discount=first.discount,
-        device=work.device,
-        on_step=_reporter(store, shard),
+        device=device,
+        on_step=_reporter(store, shard, on_progress),
     )
-    seconds = time.perf_counter() - started
-    tables = shard_tables(shard.trials, records, seconds, provenance.of_this_process(work.device, ENGINE))
-    store.commit(shard.id, tables)
+    store.commit(shard.id, shard_tables(shard.trials, records, time.perf_counter() - started, origin))
     store.clear_progress(shard.id)
-    return Receipt(shard.id, len(shard.trials), shard.agent_steps, int((records.diverged_at > 0).sum()), seconds)
+    return Receipt(shard, origin.host, int((records.diverged_at > 0).sum()))
 
 
-def _reporter(store: Store, shard: Shard) -> Callable[[int], None]:
+def _reporter(store: Store, shard: Shard, on_progress: Callable[[], None] | None) -> Callable[[int], None]:
     last = time.monotonic()
 
     def report(step: int) -> None:
@@ -84,5 +78,7 @@ def _reporter(store: Store, shard: Shard) -> Callable[[int], None]:
         if time.monotonic() - last >= _REPORT_SECONDS:
             last = time.monotonic()
             store.report_progress(shard.id, step * len(shard.trials))
+            if on_progress is not None:
+                on_progress()
 
     return report

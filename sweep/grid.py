@@ -39,7 +39,7 @@ _Seeds = Annotated[Any, BeforeValidator(_seeds)]
 class StudySection(_Section):
     """[study]"""
 
-    name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]{0,63}$")]
+    name: Annotated[str, Field(pattern=r"^[a-z0-9-]{1,64}$")]
     environments: Annotated[list[str], Field(min_length=1)]
     steps: Annotated[int, Field(ge=1, le=2**31 - 1)]
     cutoff: Annotated[int, Field(ge=1, le=2**31 - 1)] | None = None

@@ -56,14 +56,14 @@ class GreedyAC:
         return self._sample_actor(observations.unsqueeze(1), Purpose.ACTION, step).squeeze(1)
 
     def update(self, batch: Batch, step: int) -> Tensor:
-        """Update critic, target, actor and proposal, in this order (Algorithm 7, lines 12–18)."""
+        """Update critic, target, then proposal and actor, neither of which sees the other's step (Algorithm 7, lines 12–18)."""
         loss = self._update_critic(batch, step)
         polyak_average_(self.target.parameters, self.critic.parameters, self.polyak)  # line 15
         self._update_policies(batch.states, step)
         return loss
 
     def _update_critic(self, batch: Batch, step: int) -> Tensor:
-        """Sarsa: descend the mean of ½(R + γ q_targ(S', A') − q(S, A))² (Algorithm 7, lines 12–13)."""
+        """Sarsa: descend the mean of (R + γ q_targ(S', A') − q(S, A))² (Algorithm 7, lines 12–13)."""
         next_actions = self._sample_actor(batch.next_states, Purpose.NEXT_ACTION, step)
         next_values = self.target.forward(torch.cat([batch.next_states, next_actions], dim=-1))
         targets = batch.rewards + self.task.discount * batch.continues * next_values
