@@ -1,5 +1,7 @@
 """From a study's trials to finished rows: find what is missing, pack it into shards, keep the workers busy."""
 
+import signal
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -38,11 +40,13 @@ class Summary:
     agent_steps: int = 0
     seconds: float = 0.0
     interrupted: bool = False
+    already_there: int = 0
+    store_is_unwritable: bool = False
 
     @property
     def finished(self) -> int:
         """Trials of the study that are in the store."""
-        return self.finished_before + self.trained
+        return self.finished_before + self.trained + self.already_there
 
     @property
     def agent_steps_per_second(self) -> float:
@@ -60,7 +64,8 @@ def launch(
 ) -> Summary:
     """Train those of the trials that the store lacks. An executor is started only when there are any.
 
-    A keyboard interrupt stops the workers: shards under way are lost, finished ones are in the store.
+    A keyboard interrupt stops the workers: shards under way are lost, finished ones are in the store. A store that cannot be
+    written to stops the launch, too.
     """
     finished = store.finished_trials()
     missing = [trial for trial in trials if trial.id not in finished]
@@ -69,6 +74,8 @@ def launch(
         return summary
     store.clean_up()
     executor = start_executor()
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, signal.default_int_handler)  # batch systems send it; Ray has just put its own handler there
     started = time.monotonic()
     try:
         _run(pack(missing[: training.limit], executor.slots), store, executor, progress, training, summary)
@@ -94,6 +101,8 @@ def _run(shards: list[Shard], store: Store, executor: Executor, progress: Progre
                 in_flight.discard(receipt.shard.id)
                 _count(receipt, store, summary)
                 progress.finished(receipt)
+            if summary.store_is_unwritable:
+                waiting.clear()  # what would be trained could not be kept
             progress.tick()
 
 
@@ -101,9 +110,11 @@ def _count(receipt: Receipt, store: Store, summary: Summary) -> None:
     shard = receipt.shard
     if receipt.error is not None:
         summary.failed += len(shard.trials)
+        summary.store_is_unwritable |= receipt.store_is_unwritable
         store.clear_progress(shard.id)
         store.record_failure(shard.id, [trial.id for trial in shard.trials], receipt.host, receipt.error)
         return
-    summary.trained += len(shard.trials)
+    summary.trained += receipt.committed
+    summary.already_there += len(shard.trials) - receipt.committed  # another launch was faster
     summary.diverged += receipt.diverged
     summary.agent_steps += shard.agent_steps

@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bars
 
 from cluster.worker import Receipt
@@ -47,13 +47,13 @@ class Progress:
         columns = (
             TextColumn("{task.description}"),
             BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("trials · {task.fields[rate]} agent-steps/s ·"),
+            TaskProgressColumn(),
+            TextColumn("· {task.fields[trials]} trials · {task.fields[rate]} agent-steps/s ·"),
             TimeElapsedColumn(),
             TextColumn("· {task.fields[left]} left"),
         )
         with Bars(*columns, console=self._console, refresh_per_second=4) as self._bars:
-            self._bars.add_task(study, total=self._all_trials, rate="…", left="…")
+            self._bars.add_task(study, total=self._all_steps, trials=f"0/{self._all_trials:,}", rate="…", left="…")
             yield
         self._bars = None
 
@@ -82,7 +82,9 @@ class Progress:
             rate = max(0.0, (steps - before) / (now - then))
         left = _duration((self._all_steps - steps) / rate) if rate else "…"
         if self._bars is not None:
-            self._bars.update(self._bars.task_ids[0], completed=self._done_trials, rate=f"{rate:,.0f}", left=left)
+            trials = f"{self._done_trials:,}/{self._all_trials:,}"
+            (task,) = self._bars.task_ids
+            self._bars.update(task, completed=steps, total=self._all_steps, trials=trials, rate=f"{rate:,.0f}", left=left)
         elif now - self._last_line >= _PLAIN_SECONDS:
             self._last_line = now
             share = steps / self._all_steps if self._all_steps else 0.0

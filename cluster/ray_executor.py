@@ -3,9 +3,13 @@
 Ray runs a task at least once; the store's commit makes that exactly once. A worker that dies is started again by Ray.
 """
 
+import contextlib
 import logging
 import os
+import signal
 import socket
+import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 # Before the import: Ray reads them then. Usage statistics off; token authentication without a line about it.
@@ -39,11 +43,32 @@ def _run_shard(work: Work, umask: int) -> Receipt:
     return run_shard(work)
 
 
+@contextlib.contextmanager
+def _interrupts_held_back() -> Iterator[None]:
+    """Deliver Ctrl-C when Ray has started: in the middle of its start it crashes Ray, or leaves processes behind."""
+    held: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, lambda number, _frame: held.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if held:
+        ray.shutdown()
+        raise KeyboardInterrupt
+
+
 class RayExecutor:
     """Runs shards on a local Ray of its own, or on the cluster at `address`; one CPU a shard."""
 
     def __init__(self, address: str | None = None, num_cpus: int | None = None) -> None:
         """Start Ray on this machine with `num_cpus` slots (default: all cores), or join the cluster at `address`."""
+        with _interrupts_held_back():
+            self._start(address, num_cpus)
+
+    def _start(self, address: str | None, num_cpus: int | None) -> None:
         umask = os.umask(0o077)  # Ray writes its token file with the default mode otherwise; workers put the old one back
         try:
             if address is None:

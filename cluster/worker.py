@@ -1,5 +1,6 @@
 """What runs where the training happens: one shard, from its trials to its committed rows."""
 
+import errno
 import socket
 import time
 import traceback
@@ -12,6 +13,7 @@ from sweep.store import Store
 from sweep.tables import shard_tables
 
 _REPORT_SECONDS = 1.0
+_UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 
 
 @dataclass(frozen=True)
@@ -26,20 +28,27 @@ class Work:
 
 @dataclass(frozen=True)
 class Receipt:
-    """What a worker sends back: never rows, which are in the store. `error` is a traceback, or None."""
+    """What a worker sends back: never rows, which are in the store. `error` is a traceback, or None.
+
+    `committed` counts the trials that were not in the store already; `store_is_unwritable` says that no other shard's rows
+    could be committed either.
+    """
 
     shard: Shard
     host: str
+    committed: int = 0
     diverged: int = 0
     error: str | None = None
+    store_is_unwritable: bool = False
 
 
 def run_shard(work: Work, on_progress: Callable[[], None] | None = None) -> Receipt:
     """Train a shard and commit its rows. An error is returned, not raised. `on_progress` is called about once a second."""
     try:
         return _train_and_commit(work, on_progress)
-    except Exception:
-        return Receipt(work.shard, socket.gethostname(), error=traceback.format_exc())
+    except Exception as error:
+        unwritable = isinstance(error, OSError) and error.errno in _UNWRITABLE
+        return Receipt(work.shard, socket.gethostname(), error=traceback.format_exc(), store_is_unwritable=unwritable)
 
 
 def _train_and_commit(work: Work, on_progress: Callable[[], None] | None) -> Receipt:
@@ -65,9 +74,9 @@ def _train_and_commit(work: Work, on_progress: Callable[[], None] | None) -> Rec
         device=device,
         on_step=_reporter(store, shard, on_progress),
     )
-    store.commit(shard.id, shard_tables(shard.trials, records, time.perf_counter() - started, origin))
+    committed = store.commit(shard.id, shard_tables(shard.trials, records, time.perf_counter() - started, origin))
     store.clear_progress(shard.id)
-    return Receipt(shard, origin.host, int((records.diverged_at > 0).sum()))
+    return Receipt(shard, origin.host, committed, int((records.diverged_at > 0).sum()))
 
 
 def _reporter(store: Store, shard: Shard, on_progress: Callable[[], None] | None) -> Callable[[int], None]:

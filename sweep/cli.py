@@ -100,6 +100,10 @@ def launch(
 
         return RayExecutor(address, num_cpus)
 
+    if study.steps < min(trial.cutoff for trial in trials):
+        typer.echo(
+            "Trials are shorter than the cutoff: an episode that does not terminate by itself has no return to score.", err=True
+        )
     opened = Store.create(store)
     dropped = opened.study_trials(study.name) - {trial.id for trial in trials}
     opened.write_study(study.name, study.text, members_table(study.name, "tune", trials))
@@ -144,6 +148,10 @@ def _summary_lines(summary: "Summary") -> list[str]:
         f"{summary.agent_steps_per_second:,.0f} agent-steps a second; "
         f"{summary.finished:,} of {summary.trials:,} finished."
     ]
+    if summary.already_there:
+        lines.append(f"{summary.already_there:,} were in the store by then: another launch had trained them, too.")
+    if summary.store_is_unwritable:
+        lines.append("Stopped: the store cannot be written to (see the errors above). Make room, then launch again.")
     if summary.diverged:
         lines.append(f"{summary.diverged:,} diverged: their numbers stopped being finite. They are kept, and marked.")
     if summary.failed:
@@ -197,16 +205,30 @@ def analyze(
 _UsageMistake: Any = next(base for base in typer.BadParameter.__mro__ if base.__name__ == "ClickException")
 
 
+_INTERRUPTED = 130  # what typer makes of a keyboard interrupt
+
+
+def _exit_for(error: OSError) -> None:
+    """Exit quietly when the reader of our output has had enough, such as head; else say what the system refused."""
+    if isinstance(error, BrokenPipeError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(0)
+    place = f"{error.filename}: " if error.filename else ""
+    typer.echo(f"error: {place}{error.strerror or error}", err=True)
+    sys.exit(1)
+
+
 def main() -> None:
     """Run the command line: a mistake of the user's becomes a message and exit code 1."""
     try:
         code = app(standalone_mode=False)
+        if code == _INTERRUPTED:
+            raise KeyboardInterrupt
         sys.exit(code if isinstance(code, int) else 0)
+    except OSError as error:
+        _exit_for(error)
     except UserError as error:
         typer.echo(f"error: {error}" if "\n" not in str(error) else str(error), err=True)
-    except BrokenPipeError:  # the reader of our output, such as head, has had enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(0)
     except _UsageMistake as error:
         error.show()
     except (typer.Abort, KeyboardInterrupt):

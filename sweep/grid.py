@@ -108,7 +108,7 @@ def load(path: str | Path) -> Grid:
     builtin = builtin_grids()
     if file.is_file():
         try:
-            return parse(file.read_text("utf-8"), str(path))
+            return parse(file.read_text("utf-8-sig"), str(path))
         except (OSError, UnicodeDecodeError) as error:
             raise UserError(f"{path}: cannot be read: {error}") from None
     if str(path) in builtin:

@@ -158,7 +158,8 @@ def test_trials_that_cannot_be_written_are_failures_with_exit_code_2(tmp_path):
     assert "NotADirectoryError" in ran.stdout or "FileExistsError" in ran.stdout
 
 
-def test_ctrl_c_stops_the_workers_keeps_what_is_finished_and_gives_exit_code_3(tmp_path):
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_stops_the_workers_keeps_what_is_finished_and_gives_exit_code_3(tmp_path, how):
     long_trials = "\n[[agent]]\nname = 'GreedyAC'\nfixed = { batch_size = 31 }\n"
     (tmp_path / "grid.toml").write_text((GRID + long_trials).replace("steps = 60", "steps = 30_000"))
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -167,10 +168,23 @@ def test_ctrl_c_stops_the_workers_keeps_what_is_finished_and_gives_exit_code_3(t
     deadline = time.monotonic() + 60
     while not list(tmp_path.glob("results/.progress/*")) and time.monotonic() < deadline:
         time.sleep(0.2)
-    os.kill(process.pid, signal.SIGINT)
+    os.kill(process.pid, how)
     output, _ = process.communicate(timeout=60)
     assert process.returncode == 3
     assert "Interrupted. What is finished is in the store; launch again to go on." in output
+
+
+def test_an_interrupt_while_everything_starts_gives_exit_code_3_too(tmp_path):
+    (tmp_path / "grid.toml").write_text(GRID)
+    for delay in (0.3, 1.5):
+        command = [sys.executable, "-c", "from sweep.cli import main; main()", "launch", "grid.toml", "--num-cpus", "1"]
+        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        process = subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, stdout=subprocess.PIPE)
+        time.sleep(delay)
+        os.kill(process.pid, signal.SIGINT)
+        output, errors = process.communicate(timeout=60)
+        assert process.returncode == 3, (output, errors)
+        assert b"Interrupted." in output + errors
 
 
 def test_what_the_system_refuses_is_a_message_too(finished, tmp_path):

@@ -102,6 +102,34 @@ def test_a_store_that_can_take_no_failure_and_no_progress_still_trains_the_rest(
     assert (summary.trained, summary.failed) == (4, 4)
 
 
+def test_a_full_disk_stops_the_launch_instead_of_training_for_nothing(tmp_path, monkeypatch):
+    store = Store.create(tmp_path)
+
+    def full(*_arguments):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Store, "commit", full)
+    grid = GRID.replace("tune = 2", "tune = 40").replace("steps = 60", "steps = 40")
+    summary, _ = run(store, grid)
+    assert summary.store_is_unwritable
+    assert 0 < summary.failed < 100
+    assert summary.trials == 160
+
+
+def test_trials_that_another_launch_has_finished_meanwhile_are_not_claimed(tmp_path, monkeypatch):
+    store, other = Store.create(tmp_path), Store.open(tmp_path)
+    commit = Store.commit
+
+    def second(self, shard, tables):
+        commit(other, f"other-{shard}", tables)
+        return commit(self, shard, tables)
+
+    monkeypatch.setattr(Store, "commit", second)
+    summary, _ = run(store)
+    assert (summary.trained, summary.already_there, summary.finished) == (0, 8, 8)
+    assert len(store.finished_trials()) == 8
+
+
 def test_a_limit_trains_so_many_and_leaves_the_rest_for_later(tmp_path):
     store = Store.create(tmp_path)
     assert run(store, training=Training(limit=3))[0].trained == 3
@@ -129,7 +157,8 @@ def test_on_a_terminal_progress_is_a_live_bar(tmp_path):
     console = Console(file=output, width=120, force_terminal=True)
     study = parse(GRID, "grid.toml")
     launch(study.name, expand(study), Store.create(tmp_path), InProcessExecutor, Progress(console))
-    assert "8/8" in output.getvalue()
+    assert "8/8 trials" in output.getvalue()
+    assert "100%" in output.getvalue()
     assert "agent-steps/s" in output.getvalue()
     assert "left" in output.getvalue()
 
