@@ -11,8 +11,8 @@ help:  ## list the targets
 
 demo: $(VENV)/installed  ## train the quickstart study, draw its sensitivity regions, answer one question in SQL
 	$(BIN)/sweep launch quickstart --store $(STORE)
-	$(BIN)/sweep analyze --figure 7.1 --store $(STORE) --out figures
-	$(BIN)/sweep sql --store $(STORE) "SELECT agent, critic_step_size, round(low) AS worst_entropy_scale, round(high) AS best_entropy_scale FROM sensitivity_regions ORDER BY ALL"
+	$(BIN)/sweep analyze --figure 7.1 --study quickstart --store $(STORE) --out figures
+	$(BIN)/sweep sql --store $(STORE) "SELECT agent, critic_step_size, round(low) AS lowest_return, round(high) AS highest_return FROM sensitivity_regions WHERE study = 'quickstart' ORDER BY ALL"
 
 test: $(VENV)/installed-dev  ## the default tests, under ten minutes on two cores
 	$(BIN)/python -m pytest -n 2

@@ -5,13 +5,15 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 import torch
+from torch import Tensor
 
 from agents.algorithm import Task
 from agents.hypers import Hypers
 from agents.population import padded
 from agents.records import Recorder, Records
-from agents.registry import ALGORITHMS, find_environment
+from agents.registry import find_algorithm, find_environment
 from agents.replay import Replay
+from agents.spaces import ActionSpace, Discrete
 
 
 def train(
@@ -32,12 +34,22 @@ def train(
     beside it. One update follows every step from the `batch_size`-th on; returns are those of the learning policy.
     `cutoff` truncates episodes (default: the environment's own); `on_step` is called after each step with its number.
 
-    `environment` is a built-in name or a Gymnasium id (`agents.registry.find_environment`).
+    An agent whose action or critic loss stops being finite has diverged: it is marked, its returns are NaN from that episode on,
+    and it stands still (action 0, or the nearest there is) for the rest of its steps.
+    `algorithm` and `environment` are names that `agents.registry` can find: built in, a Gymnasium id, or `package.module:Name`.
 
-    Raises KeyError for an unknown algorithm, EnvironmentLookupError for an environment that cannot be had, ValueError when the
-    agents cannot be trained together.
+    Raises AlgorithmLookupError or EnvironmentLookupError for names that lead nowhere, ValueError when the agents cannot be
+    trained together, are not of this algorithm, or cannot act in this environment, or when steps or cutoff are less than 1.
     """
-    known = find_environment(environment)
+    entry, known = find_algorithm(algorithm), find_environment(environment)
+    if steps < 1 or (cutoff is not None and cutoff < 1):
+        raise ValueError(f"steps = {steps}, cutoff = {cutoff}: must be at least 1")
+    if not all(isinstance(one, entry.hypers) for one in hypers):
+        raise ValueError(f"{algorithm} takes {entry.hypers.__name__}")
+    if known.actions not in entry.actions:
+        raise ValueError(
+            f"{algorithm} acts in {' and '.join(entry.actions)} action spaces only; {environment} is {known.actions}"
+        )
     population = padded(hypers, seeds, torch.device(device))
     world = known.make(len(population))
     stream = population.stream()
@@ -45,27 +57,30 @@ def train(
     batch_size = population.shared.batch_size
     capacity = min(population.shared.replay_capacity, steps)
     with torch.no_grad(), _denormals_flushed():
-        agents = ALGORITHMS[algorithm].load()(population, task, stream)
+        agents = entry.load()(population, task, stream)
         replay = Replay(len(population), capacity, task.observation_size, task.actions.size, population.device)
         recorder = Recorder(len(population), population.device)
         states = world.start(stream, 0)
         observations = world.observe(states)
         elapsed = torch.zeros(len(population), dtype=torch.int64, device=population.device)
+        healthy = torch.ones(len(population), dtype=torch.bool, device=population.device)
+        standstill = _standstill(world.actions, population.device)
         for step in range(1, steps + 1):
             actions = agents.act(observations, step)
+            healthy &= actions.isfinite().all(dim=1)
+            actions = torch.where(healthy[:, None], actions, standstill)
             transition = world.step(states, actions)
             states, next_observations = transition.states, world.observe(transition.states)
             replay.add(observations, actions, transition.rewards, transition.terminated, next_observations)
-            finite = actions.isfinite().all(dim=1)
             if step >= batch_size:
-                finite &= agents.update(replay.sample(stream, step, batch_size), step).isfinite()
+                healthy &= agents.update(replay.sample(stream, step, batch_size), step).isfinite()
             elapsed += 1
             truncated = elapsed >= (cutoff or known.cutoff)
             if transition.truncated is not None:
                 truncated |= transition.truncated
             truncated &= ~transition.terminated
             ended = transition.terminated | truncated
-            recorder.add(transition.rewards, transition.terminated, truncated, finite)
+            recorder.add(transition.rewards, transition.terminated, truncated, healthy)
             observations = next_observations
             if ended.any():
                 states = torch.where(ended[:, None], world.start(stream, step, ended), states)
@@ -76,14 +91,23 @@ def train(
     return _without_copies(recorder.finish(), len(hypers))
 
 
+def _standstill(space: ActionSpace, device: torch.device) -> Tensor:
+    """Return the action [A] nearest to 0."""
+    if isinstance(space, Discrete):
+        return torch.zeros(1, device=device)
+    low, high = torch.tensor(space.low, device=device), torch.tensor(space.high, device=device)
+    return torch.zeros_like(low).clamp(low, high)
+
+
 @contextmanager
 def _denormals_flushed() -> Iterator[None]:
     """Treat denormal numbers as zero: Adam's moments reach them in long runs, and they are slow."""
+    flushed_before = torch.tensor(1e-40) * 1 == 0
     torch.set_flush_denormal(True)
     try:
         yield
     finally:
-        torch.set_flush_denormal(False)
+        torch.set_flush_denormal(bool(flushed_before))
 
 
 def _without_copies(records: Records, num_agents: int) -> Records:

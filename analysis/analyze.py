@@ -8,6 +8,7 @@ import duckdb
 
 from analysis.database import connect
 from analysis.figures.catalogue import Entry, find, list_figures
+from analysis.query import short_message
 from sweep.messages import UserError, suggestion
 
 __all__ = ["FORMATS", "Result", "analyze", "list_figures"]
@@ -24,7 +25,7 @@ class Result:
     notes: list[str]
 
 
-def analyze(store: Path, figure: str, study: str | None, out: Path, formats: Sequence[str] = ("png", "csv")) -> Result:
+def analyze(store: Path, figure: str, study: str | None, out: Path, formats: Sequence[str] = ("png",)) -> Result:
     """Draw `figure` (a number such as "7.1") of `study` and write `out`/figure-7.1.png and the other formats.
 
     Without a study: the figure's own if it has data here, else the only one that has; UserError if
@@ -38,14 +39,17 @@ def analyze(store: Path, figure: str, study: str | None, out: Path, formats: Seq
     try:
         chosen = _choose(connection, entry, study)
         drawing = entry.load().draw(connection, chosen, entry.title)
+    except duckdb.Error as error:
+        raise UserError(f"{store}: {short_message(error)}") from None
     finally:
         connection.close()
-    out.mkdir(parents=True, exist_ok=True)
-    files = []
-    for format in dict.fromkeys(formats):
-        file = out / f"figure-{entry.number}.{format}"
-        drawing.save(file, format)
-        files.append(file)
+    files = [out / f"figure-{entry.number}.{format}" for format in dict.fromkeys(formats)]
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        for file in files:
+            drawing.save(file, file.suffix.removeprefix("."))
+    except OSError as error:
+        raise UserError(f"{out}: the figure cannot be written there: {error.strerror}") from None
     return Result(chosen, files, drawing.notes)
 
 

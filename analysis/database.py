@@ -85,6 +85,6 @@ def _dataset(files: list[Path], declared: pa.Schema, open: bool) -> ds.Dataset:
         try:
             columns = pa.unify_schemas([columns, pq.read_schema(file).remove_metadata()], promote_options="permissive")
         except (pa.ArrowTypeError, pa.ArrowInvalid, OSError) as error:
-            raise UserError(f"{file}: cannot be read beside the others ({error}); see sweep verify") from None
+            raise UserError(f"{file}: cannot be read beside the others ({error})") from None
     checked = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
     return ds.dataset(files, schema=columns, format=ds.ParquetFileFormat(default_fragment_scan_options=checked))

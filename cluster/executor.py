@@ -1,6 +1,7 @@
 """How shards get to workers: a protocol of three methods, and the executor that needs no cluster."""
 
 from collections import deque
+from collections.abc import Callable
 from typing import Protocol
 
 from cluster.worker import Receipt, Work, run_shard
@@ -29,15 +30,17 @@ class InProcessExecutor:
 
     slots = 1
 
-    def __init__(self) -> None:
+    def __init__(self, on_progress: Callable[[], None] | None = None) -> None:
+        """`on_progress` is called about once a second while a shard is trained."""
         self._queue: deque[Work] = deque()
+        self._on_progress = on_progress
 
     def submit(self, work: Work) -> None:
         self._queue.append(work)
 
     def wait(self, seconds: float) -> list[Receipt]:
         """Train the next shard to its end, however long it takes."""
-        return [run_shard(self._queue.popleft())] if self._queue else []
+        return [run_shard(self._queue.popleft(), self._on_progress)] if self._queue else []
 
     def close(self) -> None:
         self._queue.clear()

@@ -1,21 +1,30 @@
-"""From a grid to finished rows: find what is missing, pack it into shards, keep the workers busy."""
+"""From a study's trials to finished rows: find what is missing, pack it into shards, keep the workers busy."""
 
+import signal
+import threading
 import time
 from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 from cluster.executor import Executor
 from cluster.progress import Progress
 from cluster.worker import Receipt, Work
-from sweep.grid import Grid
 from sweep.shards import Shard, pack
 from sweep.store import Store
-from sweep.tables import members_table
-from sweep.trials import Trial, expand
+from sweep.trials import Trial
 
 _IN_FLIGHT_PER_SLOT = 2
 _POLL_SECONDS = 0.5
+
+
+@dataclass(frozen=True)
+class Training:
+    """How shards are trained: on which device (auto, cpu, cuda), with how many threads each, at most how many trials."""
+
+    device: str = "cpu"
+    threads: int = 1
+    limit: int | None = None
 
 
 @dataclass
@@ -31,7 +40,13 @@ class Summary:
     agent_steps: int = 0
     seconds: float = 0.0
     interrupted: bool = False
-    errors: list[str] = field(default_factory=list)
+    already_there: int = 0
+    store_is_unwritable: bool = False
+
+    @property
+    def finished(self) -> int:
+        """Trials of the study that are in the store."""
+        return self.finished_before + self.trained + self.already_there
 
     @property
     def agent_steps_per_second(self) -> float:
@@ -39,55 +54,67 @@ class Summary:
         return self.agent_steps / self.seconds if self.agent_steps else 0.0
 
 
-def launch(grid: Grid, store: Store, start_executor: Callable[[], Executor], progress: Progress, device: str = "cpu") -> Summary:
-    """Train whatever the study needs and the store lacks. An executor is started only when something is missing.
+def launch(
+    study: str,
+    trials: Sequence[Trial],
+    store: Store,
+    start_executor: Callable[[], Executor],
+    progress: Progress,
+    training: Training = Training(),
+) -> Summary:
+    """Train those of the trials that the store lacks. An executor is started only when there are any.
 
-    A keyboard interrupt stops the workers: shards under way are lost, finished ones are in the store.
+    A keyboard interrupt stops the workers: shards under way are lost, finished ones are in the store. A store that cannot be
+    written to stops the launch, too.
     """
-    trials = expand(grid)
-    store.write_study(grid.name, grid.text, members_table(grid.name, "tune", trials))
-    missing = _missing(trials, store)
-    summary = Summary(grid.name, len(trials), len(trials) - len(missing))
+    finished = store.finished_trials()
+    missing = [trial for trial in trials if trial.id not in finished]
+    summary = Summary(study, len(trials), len(trials) - len(missing))
     if not missing:
         return summary
-    started = time.monotonic()
+    store.clean_up()
     executor = start_executor()
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, signal.default_int_handler)  # batch systems send it; Ray has just put its own handler there
+    started = time.monotonic()
     try:
-        _run(pack(missing, executor.slots), store, executor, progress, device, summary)
+        _run(pack(missing[: training.limit], executor.slots), store, executor, progress, training, summary)
     except KeyboardInterrupt:
         summary.interrupted = True
     finally:
-        executor.close()
         summary.seconds = time.monotonic() - started
+        executor.close()
     return summary
 
 
-def _missing(trials: list[Trial], store: Store) -> list[Trial]:
-    finished = store.finished_trials()
-    return [trial for trial in trials if trial.id not in finished]
-
-
-def _run(shards: list[Shard], store: Store, executor: Executor, progress: Progress, device: str, summary: Summary) -> None:
+def _run(shards: list[Shard], store: Store, executor: Executor, progress: Progress, training: Training, summary: Summary) -> None:
     waiting = deque(shards)
     in_flight: set[str] = set()
     with progress.running(summary.study, shards, executor.slots, lambda: store.progress(list(in_flight))):
         while waiting or in_flight:
             while waiting and len(in_flight) < _IN_FLIGHT_PER_SLOT * executor.slots:
                 shard = waiting.popleft()
+                store.clear_progress(shard.id)
                 in_flight.add(shard.id)
-                executor.submit(Work(shard, str(store.path.resolve()), device))
+                executor.submit(Work(shard, str(store.path.resolve()), training.device, training.threads))
             for receipt in executor.wait(_POLL_SECONDS):
-                in_flight.discard(receipt.shard)
-                _count(receipt, summary)
+                in_flight.discard(receipt.shard.id)
+                _count(receipt, store, summary)
                 progress.finished(receipt)
+            if summary.store_is_unwritable:
+                waiting.clear()  # what would be trained could not be kept
             progress.tick()
 
 
-def _count(receipt: Receipt, summary: Summary) -> None:
+def _count(receipt: Receipt, store: Store, summary: Summary) -> None:
+    shard = receipt.shard
     if receipt.error is not None:
-        summary.failed += receipt.trials
-        summary.errors.append(receipt.error)
+        summary.failed += len(shard.trials)
+        summary.store_is_unwritable |= receipt.store_is_unwritable
+        store.clear_progress(shard.id)
+        store.record_failure(shard.id, [trial.id for trial in shard.trials], receipt.host, receipt.error)
         return
-    summary.trained += receipt.trials
+    summary.trained += receipt.committed
+    summary.already_there += len(shard.trials) - receipt.committed  # another launch was faster
     summary.diverged += receipt.diverged
-    summary.agent_steps += receipt.agent_steps
+    summary.agent_steps += shard.agent_steps

@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bars
 
 from cluster.worker import Receipt
@@ -21,7 +21,7 @@ class Progress:
     def __init__(self, console: Console) -> None:
         self._console = console
         self._bars: Bars | None = None
-        self._done_trials = self._all_trials = 0
+        self._done_trials = self._all_trials = self._failed_trials = 0
         self._done_steps = self._all_steps = 0
         self._under_way: Callable[[], int] = lambda: 0
         self._readings: list[tuple[float, int]] = []
@@ -47,30 +47,34 @@ class Progress:
         columns = (
             TextColumn("{task.description}"),
             BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("trials · {task.fields[rate]} agent-steps/s ·"),
+            TaskProgressColumn(),
+            TextColumn("· {task.fields[trials]} trials · {task.fields[rate]} agent-steps/s ·"),
             TimeElapsedColumn(),
             TextColumn("· {task.fields[left]} left"),
         )
         with Bars(*columns, console=self._console, refresh_per_second=4) as self._bars:
-            self._bars.add_task(study, total=self._all_trials, rate="…", left="…")
+            self._bars.add_task(study, total=self._all_steps, trials=f"0/{self._all_trials:,}", rate="…", left="…")
             yield
         self._bars = None
 
     def finished(self, receipt: Receipt) -> None:
-        """Count a shard that came back."""
-        self._done_trials += receipt.trials
-        self._done_steps += receipt.agent_steps
-        if receipt.error is not None:
-            last = receipt.error.strip().splitlines()[-1]
-            self._console.print(
-                f"shard {receipt.shard} failed ({receipt.trials} trials): {last}", highlight=False, markup=False, soft_wrap=True
-            )
+        """Count a shard that came back; one that failed is no longer waited for."""
+        trials, steps = len(receipt.shard.trials), receipt.shard.agent_steps
+        if receipt.error is None:
+            self._done_trials += trials
+            self._done_steps += steps
+            return
+        self._failed_trials += trials
+        self._all_steps -= steps
+        last = receipt.error.strip().splitlines()[-1]
+        line = f"shard {receipt.shard.id} failed ({trials} trials): {last}"
+        self._console.print(line, highlight=False, markup=False, soft_wrap=True)
 
     def tick(self) -> None:
         """Bring the display up to date."""
         now, steps = time.monotonic(), self._done_steps + self._under_way()
         self._readings.append((now, steps))
+        self._readings = [reading for reading in self._readings if reading[1] <= steps]  # a worker that began again
         while len(self._readings) > 2 and now - self._readings[1][0] > _RATE_SECONDS:
             self._readings.pop(0)
         (then, before), rate = self._readings[0], 0.0
@@ -78,12 +82,15 @@ class Progress:
             rate = max(0.0, (steps - before) / (now - then))
         left = _duration((self._all_steps - steps) / rate) if rate else "…"
         if self._bars is not None:
-            self._bars.update(self._bars.task_ids[0], completed=self._done_trials, rate=f"{rate:,.0f}", left=left)
+            trials = f"{self._done_trials:,}/{self._all_trials:,}"
+            (task,) = self._bars.task_ids
+            self._bars.update(task, completed=steps, total=self._all_steps, trials=trials, rate=f"{rate:,.0f}", left=left)
         elif now - self._last_line >= _PLAIN_SECONDS:
             self._last_line = now
-            share = steps / self._all_steps
+            share = steps / self._all_steps if self._all_steps else 0.0
+            failed = f" · {self._failed_trials:,} failed" if self._failed_trials else ""
             self._console.print(
-                f"{self._done_trials:,} of {self._all_trials:,} trials finished · {share:.0%} of the steps · "
+                f"{self._done_trials:,} of {self._all_trials:,} trials finished{failed} · {share:.0%} of the steps · "
                 f"{rate:,.0f} agent-steps/s · {left} left",
                 highlight=False,
                 soft_wrap=True,

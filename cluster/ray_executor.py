@@ -3,8 +3,13 @@
 Ray runs a task at least once; the store's commit makes that exactly once. A worker that dies is started again by Ray.
 """
 
+import contextlib
 import logging
 import os
+import signal
+import socket
+import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 # Before the import: Ray reads them then. Usage statistics off; token authentication without a line about it.
@@ -15,9 +20,22 @@ os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
 import ray
 
 from cluster.worker import Receipt, Work, run_shard
+from sweep.messages import UserError
 
 _OBJECT_STORE_BYTES = 100 * 2**20
 _MAX_RETRIES = 3
+_CONNECT_SECONDS = 10.0
+
+
+def check_address(address: str) -> None:
+    """Raise UserError when nothing listens there: Ray itself would try for minutes."""
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if not host or not port.isdigit():
+        raise UserError(f"--address {address}: must be HOST:PORT, as `ray start --head` prints it")
+    try:
+        socket.create_connection((host, int(port)), timeout=_CONNECT_SECONDS).close()
+    except OSError as error:
+        raise UserError(f"--address {address}: no Ray cluster answers there: {error}") from None
 
 
 def _run_shard(work: Work, umask: int) -> Receipt:
@@ -25,14 +43,37 @@ def _run_shard(work: Work, umask: int) -> Receipt:
     return run_shard(work)
 
 
+@contextlib.contextmanager
+def _interrupts_held_back() -> Iterator[None]:
+    """Deliver Ctrl-C when Ray has started: in the middle of its start it crashes Ray, or leaves processes behind."""
+    held: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, lambda number, _frame: held.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if held:
+        ray.shutdown()
+        raise KeyboardInterrupt
+
+
 class RayExecutor:
     """Runs shards on a local Ray of its own, or on the cluster at `address`; one CPU a shard."""
 
     def __init__(self, address: str | None = None, num_cpus: int | None = None) -> None:
         """Start Ray on this machine with `num_cpus` slots (default: all cores), or join the cluster at `address`."""
+        with _interrupts_held_back():
+            self._start(address, num_cpus)
+
+    def _start(self, address: str | None, num_cpus: int | None) -> None:
         umask = os.umask(0o077)  # Ray writes its token file with the default mode otherwise; workers put the old one back
         try:
             if address is None:
+                # a user's own modules, named in a grid, are found from the folder of the launch
+                os.environ["PYTHONPATH"] = os.pathsep.join([os.getcwd(), *filter(None, [os.environ.get("PYTHONPATH")])])
                 ray.init(
                     address="local",  # without it, Ray joins any cluster that it can see
                     num_cpus=num_cpus or os.cpu_count(),
@@ -69,7 +110,7 @@ class RayExecutor:
         try:
             return ray.get(reference)
         except ray.exceptions.RayError as error:
-            return Receipt(work.shard.id, len(work.shard.trials), work.shard.agent_steps, error=str(error) or repr(error))
+            return Receipt(work.shard, "unknown", error=str(error) or repr(error))
 
     def close(self) -> None:
         self._running.clear()

@@ -1,21 +1,26 @@
 """What runs where the training happens: one shard, from its trials to its committed rows."""
 
+import errno
+import socket
 import time
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from agents.registry import find_algorithm
 from sweep import provenance
+from sweep.provenance import Provenance
 from sweep.shards import Shard
 from sweep.store import Store
-from sweep.tables import shard_tables
+from sweep.tables import EpisodeColumns, shard_tables
 
 _REPORT_SECONDS = 1.0
+_UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 
 
 @dataclass(frozen=True)
 class Work:
-    """A shard, the store that its rows go to, and how it is to be trained."""
+    """A shard, the store that its rows go to, and how it is to be trained: on `device` (auto, cpu, cuda), with `threads`."""
 
     shard: Shard
     store: str
@@ -25,58 +30,73 @@ class Work:
 
 @dataclass(frozen=True)
 class Receipt:
-    """What a worker sends back: never rows, which are in the store. `error` is a traceback, or None."""
+    """What a worker sends back: never rows, which are in the store. `error` is a traceback, or None.
 
-    shard: str
-    trials: int
-    agent_steps: int
+    `committed` counts the trials that were not in the store already; `store_is_unwritable` says that no other shard's rows
+    could be committed either.
+    """
+
+    shard: Shard
+    host: str
+    committed: int = 0
     diverged: int = 0
-    seconds: float = 0.0
     error: str | None = None
+    store_is_unwritable: bool = False
 
 
-def run_shard(work: Work) -> Receipt:
-    """Train a shard and commit its rows. An error is recorded in the store and returned, not raised."""
+def run_shard(work: Work, on_progress: Callable[[], None] | None = None) -> Receipt:
+    """Train a shard and commit its rows. An error is returned, not raised. `on_progress` is called about once a second."""
     try:
-        return _train_and_commit(work)
+        return _train_and_commit(work, on_progress)
     except Exception as error:
-        text = traceback.format_exc()
-        store = Store(work.store)
-        store.clear_progress(work.shard.id)
-        trials = [trial.id for trial in work.shard.trials]
-        store.record_failure(work.shard.id, {"error": repr(error), "traceback": text, "trials": trials})
-        return Receipt(work.shard.id, len(trials), work.shard.agent_steps, error=text)
+        unwritable = isinstance(error, OSError) and error.errno in _UNWRITABLE
+        return Receipt(work.shard, socket.gethostname(), error=traceback.format_exc(), store_is_unwritable=unwritable)
 
 
-def _train_and_commit(work: Work) -> Receipt:
+def _train_and_commit(work: Work, on_progress: Callable[[], None] | None) -> Receipt:
+    store, shard = Store.open(work.store), work.shard
+    started = time.perf_counter()
+    one_trial = find_algorithm(shard.trials[0].agent).one_trial
+    records, origin = (_train_function if one_trial else _train_population)(work, _reporter(store, shard, on_progress))
+    committed = store.commit(shard.id, shard_tables(shard.trials, records, time.perf_counter() - started, origin))
+    store.clear_progress(shard.id)
+    return Receipt(shard, origin.host, committed, int((records.diverged_at > 0).sum()))
+
+
+def _train_population(work: Work, on_step: Callable[[int], None]) -> tuple[EpisodeColumns, Provenance]:
     import torch
 
     from agents.networks import ENGINE
     from agents.training import train
 
     torch.set_num_threads(work.threads)
-    store, shard = Store.open(work.store), work.shard
-    first = shard.trials[0]
-    started = time.perf_counter()
+    device = ("cuda" if torch.cuda.is_available() else "cpu") if work.device == "auto" else work.device
+    origin = provenance.of_this_process(device, ENGINE)  # before the training: the code may change meanwhile
+    trials, first = work.shard.trials, work.shard.trials[0]
     records = train(
         first.agent,
         first.environment,
-        [trial.hypers for trial in shard.trials],
-        [trial.seed for trial in shard.trials],
+        [trial.hypers for trial in trials],
+        [trial.seed for trial in trials],
         steps=first.steps,
         cutoff=first.cutoff,
         discount=first.discount,
-        device=work.device,
-        on_step=_reporter(store, shard),
+        device=device,
+        on_step=on_step,
     )
-    seconds = time.perf_counter() - started
-    tables = shard_tables(shard.trials, records, seconds, provenance.of_this_process(work.device, ENGINE))
-    store.commit(shard.id, tables)
-    store.clear_progress(shard.id)
-    return Receipt(shard.id, len(shard.trials), shard.agent_steps, int((records.diverged_at > 0).sum()), seconds)
+    return records, origin
 
 
-def _reporter(store: Store, shard: Shard) -> Callable[[int], None]:
+def _train_function(work: Work, on_step: Callable[[int], None]) -> tuple[EpisodeColumns, Provenance]:
+    from agents.function import train_function
+
+    (trial,) = work.shard.trials
+    origin = provenance.of_this_process("unknown", "function")
+    study = {"environment": trial.environment, "steps": trial.steps, "cutoff": trial.cutoff, "discount": trial.discount}
+    return train_function(find_algorithm(trial.agent).load(), study | trial.hypers.as_dict(), trial.seed, on_step), origin
+
+
+def _reporter(store: Store, shard: Shard, on_progress: Callable[[], None] | None) -> Callable[[int], None]:
     last = time.monotonic()
 
     def report(step: int) -> None:
@@ -84,5 +104,7 @@ def _reporter(store: Store, shard: Shard) -> Callable[[int], None]:
         if time.monotonic() - last >= _REPORT_SECONDS:
             last = time.monotonic()
             store.report_progress(shard.id, step * len(shard.trials))
+            if on_progress is not None:
+                on_progress()
 
     return report

@@ -4,6 +4,7 @@ Exit codes: 0 done, 1 usage or bad input, 2 some trials failed, 3 incomplete or 
 """
 
 import json
+import os
 import sys
 from enum import StrEnum
 from pathlib import Path
@@ -35,6 +36,14 @@ class ExecutorName(StrEnum):
     in_process = "in-process"
 
 
+class Device(StrEnum):
+    """Where tensors live."""
+
+    auto = "auto"
+    cpu = "cpu"
+    cuda = "cuda"
+
+
 class Format(StrEnum):
     """How the answer to a query is written."""
 
@@ -57,9 +66,12 @@ def launch(
     executor: Annotated[ExecutorName, typer.Option(help="Where to train.")] = ExecutorName.ray,
     address: Annotated[str | None, typer.Option(help="Address of a running Ray cluster; default: a Ray of its own.")] = None,
     num_cpus: Annotated[int | None, typer.Option(min=1, help="Workers on this machine; default: all cores.")] = None,
+    threads: Annotated[int, typer.Option(min=1, help="Threads a worker.")] = 1,
+    device: Annotated[Device, typer.Option(help="Where tensors live; auto takes a GPU if there is one.")] = Device.cpu,
+    limit: Annotated[int | None, typer.Option(min=1, help="Train at most so many trials, then stop.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
-    """Train whatever a study needs and the store lacks."""
+    """Train whatever a study needs and the store lacks. Run it again after any interruption."""
     from rich.console import Console
 
     import cluster.launch
@@ -67,38 +79,58 @@ def launch(
     from cluster.progress import Progress
     from sweep.grid import load
     from sweep.store import Store
+    from sweep.tables import members_table
     from sweep.trials import expand
 
     study = load(grid)
-    expand(study)  # a grid that contradicts itself is refused before a store is made
+    trials = expand(study)
+    if address is not None:
+        if num_cpus is not None or executor is not ExecutorName.ray:
+            raise UserError("launch: --address is for a Ray cluster that runs already: leave out --num-cpus and --executor")
+        from cluster.ray_executor import check_address
+
+        check_address(address)
+    console = Console(stderr=as_json)
+    progress = Progress(console)
 
     def start() -> Executor:
         if executor is ExecutorName.in_process:
-            return InProcessExecutor()
+            return InProcessExecutor(progress.tick)
         from cluster.ray_executor import RayExecutor
 
         return RayExecutor(address, num_cpus)
 
-    console = Console(stderr=as_json)
-    summary = cluster.launch.launch(study, Store.create(store), start, Progress(console))
+    if study.steps < min(trial.cutoff for trial in trials):
+        typer.echo(
+            "Trials are shorter than the cutoff: an episode that does not terminate by itself has no return to score.", err=True
+        )
+    opened = Store.create(store)
+    dropped = opened.study_trials(study.name) - {trial.id for trial in trials}
+    opened.write_study(study.name, study.text, members_table(study.name, "tune", trials))
+    training = cluster.launch.Training(device.value, threads, limit)
+    summary = cluster.launch.launch(study.name, trials, opened, start, progress, training)
     if as_json:
         typer.echo(json.dumps(_summary_json(summary)))
     else:
         for line in _summary_lines(summary):
             typer.echo(line)
-    if study.evaluate_seeds and not as_json:
+    if dropped:
+        typer.echo(
+            f"{len(dropped):,} trials of the study's earlier grid are no longer part of it; they stay in the store.", err=True
+        )
+    if study.evaluate_seeds:
         typer.echo("Only the tuning stage is run by this version: the evaluation seeds are not used yet.", err=True)
-    if summary.interrupted:
-        raise typer.Exit(3)
     if summary.failed:
         raise typer.Exit(2)
+    if summary.finished < summary.trials:
+        raise typer.Exit(3)
 
 
 def _summary_json(summary: "Summary") -> dict[str, object]:
     return {
         "study": summary.study,
         "trials": summary.trials,
-        "finished": summary.finished_before + summary.trained,
+        "finished": summary.finished,
         "trained": summary.trained,
         "diverged": summary.diverged,
         "failed": summary.failed,
@@ -114,12 +146,16 @@ def _summary_lines(summary: "Summary") -> list[str]:
     lines = [
         f"{summary.study}: {summary.trained:,} trials trained in {summary.seconds:,.0f} s, "
         f"{summary.agent_steps_per_second:,.0f} agent-steps a second; "
-        f"{summary.finished_before + summary.trained:,} of {summary.trials:,} finished."
+        f"{summary.finished:,} of {summary.trials:,} finished."
     ]
+    if summary.already_there:
+        lines.append(f"{summary.already_there:,} were in the store by then: another launch had trained them, too.")
+    if summary.store_is_unwritable:
+        lines.append("Stopped: the store cannot be written to (see the errors above). Make room, then launch again.")
     if summary.diverged:
         lines.append(f"{summary.diverged:,} diverged: their numbers stopped being finite. They are kept, and marked.")
     if summary.failed:
-        lines.append(f"{summary.failed:,} trials failed; tracebacks are in the store's failures folder. Launch again to retry.")
+        lines.append(f"{summary.failed:,} trials failed; why is in the store's folder failures. Launch again to try them again.")
     if summary.interrupted:
         lines.append("Interrupted. What is finished is in the store; launch again to go on.")
     return lines
@@ -135,8 +171,7 @@ def sql(
     from analysis.query import run
     from sweep.store import Store
 
-    opened = Store.open(store)
-    run(opened.path, sys.stdin.read() if query is None else query, format.value)
+    run(Store.open(store).path, sys.stdin.read() if query is None else query, format.value)
 
 
 @app.command()
@@ -158,7 +193,8 @@ def analyze(
         return
     if figure is None:
         raise UserError("analyze: say which figure: --figure 7.1 (--list names them all)")
-    result = analysis.analyze(Store.open(store).path, figure, study, out, format.split(","))
+    formats = [part.strip() for part in format.split(",")]
+    result = analysis.analyze(Store.open(store).path, figure, study, out, formats)
     for note in result.notes:
         typer.echo(note)
     for file in result.files:
@@ -169,11 +205,28 @@ def analyze(
 _UsageMistake: Any = next(base for base in typer.BadParameter.__mro__ if base.__name__ == "ClickException")
 
 
+_INTERRUPTED = 130  # what typer makes of a keyboard interrupt
+
+
+def _exit_for(error: OSError) -> None:
+    """Exit quietly when the reader of our output has had enough, such as head; else say what the system refused."""
+    if isinstance(error, BrokenPipeError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(0)
+    place = f"{error.filename}: " if error.filename else ""
+    typer.echo(f"error: {place}{error.strerror or error}", err=True)
+    sys.exit(1)
+
+
 def main() -> None:
     """Run the command line: a mistake of the user's becomes a message and exit code 1."""
     try:
         code = app(standalone_mode=False)
+        if code == _INTERRUPTED:
+            raise KeyboardInterrupt
         sys.exit(code if isinstance(code, int) else 0)
+    except OSError as error:
+        _exit_for(error)
     except UserError as error:
         typer.echo(f"error: {error}" if "\n" not in str(error) else str(error), err=True)
     except _UsageMistake as error:

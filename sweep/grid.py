@@ -37,7 +37,7 @@ _Seeds = Annotated[Any, BeforeValidator(_seeds)]
 class StudySection(_Section):
     """[study]"""
 
-    name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]{0,63}$")]
+    name: Annotated[str, Field(pattern=r"^[a-z0-9-]{1,64}$")]
     environments: Annotated[list[str], Field(min_length=1)]
     steps: Annotated[int, Field(ge=1, le=2**31 - 1)]
     cutoff: Annotated[int, Field(ge=1, le=2**31 - 1)] | None = None
@@ -106,7 +106,7 @@ def load(path: str | Path) -> Grid:
     builtin = builtin_grids()
     if file.is_file():
         try:
-            return parse(file.read_text("utf-8"), str(path))
+            return parse(file.read_text("utf-8-sig"), str(path))
         except (OSError, UnicodeDecodeError) as error:
             raise UserError(f"{path}: cannot be read: {error}") from None
     if str(path) in builtin:

@@ -17,6 +17,7 @@ import json
 import os
 import shutil
 import socket
+import time
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
@@ -30,6 +31,7 @@ from sweep.tables import ShardTables
 
 _MARKER = "sweep-store.json"
 _FORMAT = 1
+_STALE_SECONDS = 24 * 3600
 
 
 class Store:
@@ -37,6 +39,7 @@ class Store:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
+        self._read_shards: dict[str, set[str]] = {}
 
     @classmethod
     def open(cls, path: str | Path) -> "Store":
@@ -57,7 +60,7 @@ class Store:
         """Return the store in a folder, made there if the folder is missing or empty. Raises UserError when it is neither."""
         folder = Path(path)
         try:
-            if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            if folder.exists() and (not folder.is_dir() or any(not _is_beginning(file) for file in folder.iterdir())):
                 return cls.open(path)
             folder.mkdir(parents=True, exist_ok=True)
             _write_atomically(folder / _MARKER, json.dumps({"format": _FORMAT}).encode())
@@ -66,54 +69,80 @@ class Store:
         return cls(folder)
 
     def finished_trials(self) -> set[str]:
-        """Return the trials whose rows are in the store."""
-        finished: set[str] = set()
+        """Return the trials whose rows are in the store. Raises UserError naming a file that cannot be read."""
         for file in self.path.glob("shards/*/trials.parquet"):
-            finished.update(pq.read_table(file, columns=["trial"], partitioning=None)["trial"].to_pylist())
-        return finished
+            if file.parent.name not in self._read_shards:  # a committed shard never changes
+                self._read_shards[file.parent.name] = _trials_in(file)
+        return set().union(*self._read_shards.values())
 
     def commit(self, shard: str, tables: ShardTables) -> int:
         """Make a shard's rows visible, all at once; return how many trials were new."""
         staging = self.path / ".staging" / f"{shard}-{socket.gethostname()}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
         staging.mkdir(parents=True)
         try:
+            _write_tables(staging, tables)
             with self._locked():
-                tables = tables.without(self.finished_trials() & set(tables.trials["trial"].to_pylist()))
-                if tables.trials.num_rows:
+                present = self.finished_trials() & set(tables.trials["trial"].to_pylist())
+                if present:
+                    tables = tables.without(present)
                     _write_tables(staging, tables)
+                if tables.trials.num_rows:
                     final = self.path / "shards" / shard
                     final.parent.mkdir(exist_ok=True)
                     staging.rename(final)
                     _flush_folder(final.parent)
         finally:
             shutil.rmtree(staging, ignore_errors=True)
-        (self.path / "failures" / f"{shard}.json").unlink(missing_ok=True)
+        self._forget_failures(set(tables.trials["trial"].to_pylist()))
         return tables.trials.num_rows
 
+    def study_trials(self, name: str) -> set[str]:
+        """Return the trials that a study needed when it was written last."""
+        file = self.path / "studies" / name / "members.parquet"
+        return _trials_in(file) if file.exists() else set()
+
     def write_study(self, name: str, grid: str, members: pa.Table) -> None:
-        """Write down what a study needs; nothing is touched when that is there already."""
+        """Write down what a study needs; nothing is touched when that is there already. Raises UserError if it cannot."""
         folder = self.path / "studies" / name
         sink = pa.BufferOutputStream()
         pq.write_table(members, sink, compression="zstd")
-        for file, content in (
-            (folder / "grid.toml", grid.encode()),
-            (folder / "members.parquet", sink.getvalue().to_pybytes()),
-        ):
-            if not file.exists() or file.read_bytes() != content:
-                folder.mkdir(parents=True, exist_ok=True)
-                _write_atomically(file, content)
+        contents = {folder / "grid.toml": grid.encode(), folder / "members.parquet": sink.getvalue().to_pybytes()}
+        for file, content in contents.items():
+            try:
+                if not file.exists() or file.read_bytes() != content:
+                    folder.mkdir(parents=True, exist_ok=True)
+                    _write_atomically(file, content)
+            except OSError as error:
+                raise UserError(f"{self.path}: the study cannot be written to this store: {error.strerror}") from None
 
-    def record_failure(self, shard: str, failure: dict[str, Any]) -> None:
-        """Write down why a shard could not be trained."""
+    def record_failure(self, shard: str, trials: list[str], host: str, error: str) -> None:
+        """Write down why a shard could not be trained, if that can be written."""
         file = self.path / "failures" / f"{shard}.json"
-        file.parent.mkdir(exist_ok=True)
-        _write_atomically(file, json.dumps(failure, indent=1).encode())
+        with contextlib.suppress(OSError):
+            file.parent.mkdir(exist_ok=True)
+            _write_atomically(file, json.dumps({"trials": trials, "host": host, "error": error}, indent=1).encode())
+
+    def _forget_failures(self, finished: set[str]) -> None:
+        """Drop the records of failures whose trials have been trained since."""
+        for file in self.path.glob("failures/*.json"):
+            with contextlib.suppress(OSError, ValueError):
+                trials = set(json.loads(file.read_text("utf-8"))["trials"])
+                if trials & finished and trials <= self.finished_trials() | finished:
+                    file.unlink()
+
+    def clean_up(self) -> None:
+        """Remove what killed workers left behind a day ago or earlier; it was never visible."""
+        for folder in self.path.glob(".staging/*"):
+            with contextlib.suppress(OSError):
+                if time.time() - folder.stat().st_mtime > _STALE_SECONDS:
+                    shutil.rmtree(folder, ignore_errors=True)
 
     def report_progress(self, shard: str, agent_steps: int) -> None:
-        """Write down how many agent-steps of a shard are done, for whoever shows progress; not kept."""
+        """Write down how many agent-steps of a shard are done, for whoever shows progress; not kept, and no harm if it fails."""
         file = self.path / ".progress" / shard
-        file.parent.mkdir(exist_ok=True)
-        _write_atomically(file, str(agent_steps).encode(), flush=False)
+        with contextlib.suppress(OSError):
+            file.parent.mkdir(exist_ok=True)
+            _write_atomically(file, str(agent_steps).encode(), flush=False)
 
     def progress(self, shards: list[str]) -> int:
         """Return the agent-steps reported for shards that are under way."""
@@ -125,13 +154,26 @@ class Store:
 
     def clear_progress(self, shard: str) -> None:
         """Forget the progress of a shard."""
-        (self.path / ".progress" / shard).unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            (self.path / ".progress" / shard).unlink(missing_ok=True)
 
     @contextlib.contextmanager
     def _locked(self) -> Iterator[None]:
         with open(self.path / ".lock", "a") as file:
             fcntl.flock(file, fcntl.LOCK_EX)
             yield
+
+
+def _is_beginning(file: Path) -> bool:
+    """A marker half written: another launch makes this store just now, or was killed while it did."""
+    return file.name.startswith(f".{_MARKER}-")
+
+
+def _trials_in(file: Path) -> set[str]:
+    try:
+        return set(pq.read_table(file, columns=["trial"], partitioning=None)["trial"].to_pylist())
+    except (OSError, pa.ArrowException) as error:
+        raise UserError(f"{file}: is damaged and cannot be read: {error}") from None
 
 
 def _write_tables(folder: Path, tables: ShardTables) -> None:

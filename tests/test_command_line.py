@@ -1,8 +1,11 @@
 """The command as a user runs it: messages, exit codes, and nothing written when the input is bad."""
 
 import os
+import shutil
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -133,6 +136,77 @@ def test_bad_usage_is_exit_code_1(finished, arguments, message):
     assert ran.returncode == 1
     assert message in ran.stderr
     assert "Traceback" not in ran.stderr
+
+
+def test_a_limit_leaves_the_study_incomplete_with_exit_code_3(tmp_path):
+    (tmp_path / "grid.toml").write_text(GRID)
+    ran = sweep("launch", "grid.toml", "--executor", "in-process", "--limit", "3", cwd=tmp_path)
+    assert (ran.returncode, "3 of 8 finished" in ran.stdout) == (3, True)
+    ran = sweep("analyze", "--figure", "7.1", cwd=tmp_path)
+    assert ran.returncode == 0
+    assert "SAC on Pendulum-CA: 3 of 8 trials" in ran.stdout
+
+
+def test_trials_that_cannot_be_written_are_failures_with_exit_code_2(tmp_path):
+    (tmp_path / "grid.toml").write_text(GRID)
+    assert sweep("launch", "grid.toml", "--executor", "in-process", "--limit", "1", cwd=tmp_path).returncode == 3
+    (tmp_path / "results" / ".staging").rmdir()
+    (tmp_path / "results" / ".staging").write_text("in the way")
+    ran = sweep("launch", "grid.toml", "--executor", "in-process", cwd=tmp_path)
+    assert ran.returncode == 2
+    assert "7 trials failed" in ran.stdout
+    assert "NotADirectoryError" in ran.stdout or "FileExistsError" in ran.stdout
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_stops_the_workers_keeps_what_is_finished_and_gives_exit_code_3(tmp_path, how):
+    long_trials = "\n[[agent]]\nname = 'GreedyAC'\nfixed = { batch_size = 31 }\n"
+    (tmp_path / "grid.toml").write_text((GRID + long_trials).replace("steps = 60", "steps = 30_000"))
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-c", "from sweep.cli import main; main()", "launch", "grid.toml", "--num-cpus", "2"]
+    process = subprocess.Popen(command, cwd=tmp_path, env=environment, stdout=subprocess.PIPE, text=True, start_new_session=True)
+    deadline = time.monotonic() + 60
+    while not list(tmp_path.glob("results/.progress/*")) and time.monotonic() < deadline:
+        time.sleep(0.2)
+    os.kill(process.pid, how)
+    output, _ = process.communicate(timeout=60)
+    assert process.returncode == 3
+    assert "Interrupted. What is finished is in the store; launch again to go on." in output
+
+
+def test_an_interrupt_while_everything_starts_gives_exit_code_3_too(tmp_path):
+    (tmp_path / "grid.toml").write_text(GRID)
+    for delay in (0.3, 1.5):
+        command = [sys.executable, "-c", "from sweep.cli import main; main()", "launch", "grid.toml", "--num-cpus", "1"]
+        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        process = subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, stdout=subprocess.PIPE)
+        time.sleep(delay)
+        os.kill(process.pid, signal.SIGINT)
+        output, errors = process.communicate(timeout=60)
+        assert process.returncode == 3, (output, errors)
+        assert b"Interrupted." in output + errors
+
+
+def test_what_the_system_refuses_is_a_message_too(finished, tmp_path):
+    ran = sweep("analyze", "--figure", "7.1", "--out", "grid.toml", cwd=finished)
+    assert (ran.returncode, ran.stderr) == (1, "error: grid.toml: the figure cannot be written there: File exists\n")
+    shutil.copytree(finished / "results", tmp_path / "results")
+    (file,) = list(tmp_path.glob("results/shards/*/trials.parquet"))[:1]
+    file.write_bytes(file.read_bytes()[:100])
+    for command in (["launch", str(finished / "grid.toml")], ["analyze", "--figure", "7.1"], ["sql", "FROM trials"]):
+        ran = sweep(*command, cwd=tmp_path)
+        assert ran.returncode == 1
+        assert "trials.parquet" in ran.stderr
+        assert "Traceback" not in ran.stderr
+
+
+def test_an_answer_may_be_cut_short_by_its_reader(finished):
+    code = "from sweep.cli import main; main()"
+    command = f"{sys.executable} -c '{code}' sql 'FROM steps' --format csv | head -n 1"
+    ran = subprocess.run(
+        command, shell=True, cwd=finished, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True
+    )
+    assert (ran.stdout, ran.stderr) == ("trial,step,episodic_return\n", "")
 
 
 def test_help_answers_without_loading_torch_ray_or_duckdb():

@@ -23,9 +23,11 @@ def test_every_link_and_picture_leads_to_a_file(document):
 def test_every_module_that_is_named_exists(document):
     for name in set(re.findall(r"`((?:agents|sweep|cluster|analysis)[/.][\w/.]+)`", document.read_text())):
         path = ROOT / (name if "/" in name else name.replace(".", "/"))
-        parent = path.parent
-        candidates = [path, path.with_suffix(".py"), parent, parent.with_suffix(".py")]
-        assert any(candidate.exists() for candidate in candidates), name
+        if path.exists() or path.with_suffix(".py").exists():
+            continue
+        module, attribute = path.parent.with_suffix(".py"), path.name
+        assert module.exists(), name
+        assert re.search(rf"^(def|class) {attribute}\b|^{attribute}\b", module.read_text(), re.MULTILINE), name
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
@@ -68,6 +70,7 @@ def test_every_package_is_listed_for_installation():
 
 def test_no_generated_file_is_tracked():
     tracked = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True).stdout.split()
+    assert tracked
     assert not [
         file
         for file in tracked

@@ -47,7 +47,7 @@ class GreedyAC:
         return self.actor.sample(observations.unsqueeze(1), Purpose.ACTION, step).squeeze(1)
 
     def update(self, batch: Batch, step: int) -> Tensor:
-        """Update critic, target, actor and proposal, in this order (Algorithm 7, lines 12–18)."""
+        """Update critic, target, then proposal and actor, neither of which sees the other's step (Algorithm 7, lines 12–18)."""
         next_actions = self.actor.sample(batch.next_states, Purpose.NEXT_ACTION, step)
         loss = self.critic.learn(batch, self.critic.target_values(batch.next_states, next_actions))  # lines 12–13
         self.critic.update_target()  # lines 14–15

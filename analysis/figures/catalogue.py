@@ -33,7 +33,7 @@ class Entry:
 
 FIGURES: dict[str, Entry] = {
     entry.number: entry
-    for entry in (Entry("7.1", "sensitivity_region", "Sensitivity to critic step-size and entropy scale", "figure-7.1"),)
+    for entry in (Entry("7.1", "sensitivity_region", "Sensitivity to critic step-size and entropy scale", "figure-7-1"),)
 }
 
 

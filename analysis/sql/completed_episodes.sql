@@ -3,6 +3,7 @@
 -- cut by its budget, is left out: its partial return would be too good where every step costs -1.
 SELECT
     trials.environment,
+    trials.cutoff,
     trials.agent,
     episodes.trial,
     episodes.episode,

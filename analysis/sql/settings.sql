@@ -1,6 +1,6 @@
 -- One row per (study, stage, agent, environment, setting).
 -- Thesis 6.2: a setting's score is the unweighted mean over seeds of a score of each trial: episode_mean (mean over its completed
--- episodes), step_mean (mean over its steps) or final_mean (over the last tenth of its steps). Diverged trials are among
+-- episodes), step_mean (mean over the steps in them) or final_mean (over the last tenth of those steps). Diverged trials are among
 -- the seeds, at the worst return of the environment in this store. num_seeds counts the seeds behind the means,
 -- num_planned those that the study asks for; a setting none of whose seeds is there yet has 0 and NULL.
 -- _low and _high bound a 95 % Student-t interval, which needs two seeds.

@@ -1,6 +1,6 @@
 -- One row per (study, stage, trial).
 -- What each study needs and what became of it: `status` is 'missing' where the store has no such trial yet.
--- Scores of a diverged trial are the environment's worst return; those of a failed or missing trial are NULL, as are
+-- Scores of a diverged trial are the worst return of the environment with that cutoff; those of a failed or missing trial are NULL, as are
 -- those of a trial that completed no episode.
 SELECT
     members.study,
@@ -16,4 +16,4 @@ SELECT
     CASE trials.status WHEN 'finished' THEN trials.final_mean WHEN 'diverged' THEN worst_return END AS final_mean
 FROM members
 LEFT JOIN trials ON trials.trial = members.trial
-LEFT JOIN worst_returns ON worst_returns.environment = members.environment
+LEFT JOIN worst_returns ON worst_returns.environment = trials.environment AND worst_returns.cutoff = trials.cutoff

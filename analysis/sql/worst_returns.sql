@@ -1,7 +1,9 @@
--- One row per (environment).
--- The lowest return of one completed episode, over every trial in the store: the score of a diverged trial (rule "worst").
+-- One row per (environment, cutoff).
+-- The lowest return of one completed episode, over every trial in the store with that cutoff: the score of a diverged trial
+-- (rule "worst").
 SELECT
     environment,
+    cutoff,
     MIN(episodic_return) AS worst_return
 FROM completed_episodes
-GROUP BY environment
+GROUP BY environment, cutoff

@@ -114,6 +114,25 @@ def test_agents_whose_tensor_programs_differ_are_refused():
         Population(hypers, (0, 1), torch.device("cpu"))
 
 
+def test_what_cannot_be_trained_is_refused():
+    with pytest.raises(ValueError, match="SAC takes SACHypers"):
+        train("SAC", "Pendulum-CA", [GreedyACHypers()], [0])
+    with pytest.raises(ValueError, match="steps = 0"):
+        train("SAC", "Pendulum-CA", [SACHypers()], [0], steps=0)
+    with pytest.raises(ValueError, match="2 hyperparameter settings for 3 seeds"):
+        train("SAC", "Pendulum-CA", [SACHypers()] * 2, [0, 1, 2])
+
+
+@pytest.mark.parametrize("before", [True, False])
+def test_training_leaves_the_treatment_of_denormal_numbers_as_it_was(before):
+    torch.set_flush_denormal(before)
+    try:
+        train("SAC", "Pendulum-CA", [SACHypers()], [0], steps=2)
+        assert bool(torch.tensor(1e-40) * 1 == 0) == before
+    finally:
+        torch.set_flush_denormal(False)
+
+
 def test_lengths_sum_to_the_steps_and_the_cutoff_truncates():
     records = train("SAC", "Pendulum-CA", settings("SAC", 2), [0, 1], steps=110)
     for agent in (0, 1):

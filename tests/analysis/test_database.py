@@ -108,7 +108,7 @@ def test_a_flipped_bit_is_an_error_rather_than_a_wrong_number(tmp_path):
 def test_an_unreadable_shard_is_named(small_store, tmp_path):
     path = build(tmp_path / "store")
     (path / "shards" / "shard-0003" / "trials.parquet").write_bytes(b"no Parquet")
-    with pytest.raises(UserError, match=r"shard-0003.*sweep verify"):
+    with pytest.raises(UserError, match=r"shard-0003.*cannot be read"):
         connect(path)
 
 

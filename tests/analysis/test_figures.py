@@ -162,7 +162,7 @@ def test_studies_that_do_not_sweep_the_entropy_scale_come_second(tmp_path):
 
 
 def test_the_figures_own_study_goes_before_others(tmp_path):
-    assert analyze(two_studies(tmp_path / "store", "first", "figure-7.1"), "7.1", None, tmp_path).study == "figure-7.1"
+    assert analyze(two_studies(tmp_path / "store", "first", "figure-7-1"), "7.1", None, tmp_path).study == "figure-7-1"
 
 
 @pytest.mark.parametrize(

@@ -1,14 +1,17 @@
 import io
 import json
+import os
+import time
 
 from rich.console import Console
 
 import cluster.worker
 from cluster.executor import InProcessExecutor
-from cluster.launch import launch
+from cluster.launch import Training, launch
 from cluster.progress import Progress
 from sweep.grid import parse
 from sweep.store import Store
+from sweep.trials import expand
 
 GRID = """
 [study]
@@ -32,9 +35,10 @@ def snapshot(folder):
     return {file: (file.stat().st_mtime_ns, file.stat().st_ino, file.read_bytes()) for file in files}
 
 
-def run(store, grid=GRID, start=InProcessExecutor):
+def run(store, grid=GRID, start=InProcessExecutor, training=Training()):  # noqa: B008
     output = io.StringIO()
-    summary = launch(parse(grid, "grid.toml"), store, start, Progress(Console(file=output, width=200)))
+    study = parse(grid, "grid.toml")
+    summary = launch(study.name, expand(study), store, start, Progress(Console(file=output, width=200)), training)
     return summary, output.getvalue()
 
 
@@ -72,15 +76,91 @@ def test_a_shard_that_fails_harms_no_other_and_is_trained_by_the_next_launch(tmp
 
     with monkeypatch.context() as patch:
         patch.setattr(cluster.worker, "shard_tables", fail_for_sac)
+        patch.setattr("cluster.progress._PLAIN_SECONDS", 0.0)
         summary, output = run(store)
     assert (summary.trained, summary.failed) == (4, 4)
     assert "failed (4 trials): RuntimeError: the disk is on fire" in output
     (failure,) = [json.loads(file.read_text()) for file in (tmp_path / "failures").iterdir()]
-    assert "the disk is on fire" in failure["traceback"]
+    assert "the disk is on fire" in failure["error"]
     assert len(failure["trials"]) == 4
-    summary, _ = run(store)
-    assert (summary.finished_before, summary.trained, summary.failed) == (4, 4, 0)
+    assert "4 of 8 trials finished · 4 failed" in output
+    summary, _ = run(store, GRID.replace("tune = 2", "tune = 3"))  # packed into other shards than before
+    assert (summary.finished_before, summary.trained, summary.failed) == (4, 8, 0)
     assert not list((tmp_path / "failures").iterdir())
+
+
+def test_a_store_that_can_take_no_failure_and_no_progress_still_trains_the_rest(tmp_path, monkeypatch):
+    store = Store.create(tmp_path)
+    (tmp_path / "failures").write_text("in the way")
+    (tmp_path / ".progress").write_text("in the way")
+    monkeypatch.setattr("cluster.worker._REPORT_SECONDS", 0.0)
+    original = cluster.worker.shard_tables
+    monkeypatch.setattr(
+        cluster.worker, "shard_tables", lambda trials, *rest: 1 / 0 if trials[0].agent == "SAC" else original(trials, *rest)
+    )
+    summary, _ = run(store)
+    assert (summary.trained, summary.failed) == (4, 4)
+
+
+def test_a_full_disk_stops_the_launch_instead_of_training_for_nothing(tmp_path, monkeypatch):
+    store = Store.create(tmp_path)
+
+    def full(*_arguments):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Store, "commit", full)
+    grid = GRID.replace("tune = 2", "tune = 40").replace("steps = 60", "steps = 40")
+    summary, _ = run(store, grid)
+    assert summary.store_is_unwritable
+    assert 0 < summary.failed < 100
+    assert summary.trials == 160
+
+
+def test_trials_that_another_launch_has_finished_meanwhile_are_not_claimed(tmp_path, monkeypatch):
+    store, other = Store.create(tmp_path), Store.open(tmp_path)
+    commit = Store.commit
+
+    def second(self, shard, tables):
+        commit(other, f"other-{shard}", tables)
+        return commit(self, shard, tables)
+
+    monkeypatch.setattr(Store, "commit", second)
+    summary, _ = run(store)
+    assert (summary.trained, summary.already_there, summary.finished) == (0, 8, 8)
+    assert len(store.finished_trials()) == 8
+
+
+def test_a_limit_trains_so_many_and_leaves_the_rest_for_later(tmp_path):
+    store = Store.create(tmp_path)
+    assert run(store, training=Training(limit=3))[0].trained == 3
+    assert run(store)[0].trained == 5
+
+
+def test_leftovers_of_killed_workers_go_after_a_day_and_not_before(tmp_path):
+    store = Store.create(tmp_path)
+    for name, hours in (("old", 25), ("young", 1)):
+        (tmp_path / ".staging" / name).mkdir(parents=True)
+        os.utime(tmp_path / ".staging" / name, (time.time() - hours * 3600,) * 2)
+    run(store)
+    assert [folder.name for folder in (tmp_path / ".staging").iterdir()] == ["young"]
+
+
+def test_progress_is_shown_while_one_process_trains(tmp_path, monkeypatch):
+    monkeypatch.setattr("cluster.worker._REPORT_SECONDS", 0.0)
+    ticks = []
+    run(Store.create(tmp_path), start=lambda: InProcessExecutor(lambda: ticks.append(1)))
+    assert len(ticks) >= 60
+
+
+def test_on_a_terminal_progress_is_a_live_bar(tmp_path):
+    output = io.StringIO()
+    console = Console(file=output, width=120, force_terminal=True)
+    study = parse(GRID, "grid.toml")
+    launch(study.name, expand(study), Store.create(tmp_path), InProcessExecutor, Progress(console))
+    assert "8/8 trials" in output.getvalue()
+    assert "100%" in output.getvalue()
+    assert "agent-steps/s" in output.getvalue()
+    assert "left" in output.getvalue()
 
 
 def test_an_interrupt_keeps_what_is_finished_and_closes_the_executor(tmp_path):

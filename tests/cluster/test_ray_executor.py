@@ -1,10 +1,12 @@
 """The whole way through Ray on this machine: the results equal those of training in one process."""
 
+import contextlib
 import io
 import os
 import signal
 import threading
 import time
+from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
@@ -14,7 +16,9 @@ from cluster.executor import InProcessExecutor
 from cluster.launch import launch
 from cluster.progress import Progress
 from sweep.grid import parse
+from sweep.messages import UserError
 from sweep.store import Store
+from sweep.trials import expand
 
 GRID = """
 [study]
@@ -42,7 +46,8 @@ def rows(store, table, leave_out=()):
 
 def run(folder, start, steps=60):
     store = Store.create(folder)
-    summary = launch(parse(GRID.format(steps=steps), "grid.toml"), store, start, Progress(Console(file=io.StringIO())))
+    study = parse(GRID.format(steps=steps), "grid.toml")
+    summary = launch(study.name, expand(study), store, start, Progress(Console(file=io.StringIO())))
     return store, summary
 
 
@@ -61,13 +66,42 @@ def test_ray_and_one_process_give_the_same_rows(tmp_path):
     assert rows(through_ray, "trials", when_and_where) == rows(in_process, "trials", when_and_where)
     for table in ("episodes", "steps"):
         assert rows(through_ray, table) == rows(in_process, table)
+    umask = os.umask(0)
+    os.umask(umask)
+    for file in (tmp_path / "ray").glob("shards/*/*.parquet"):
+        assert file.stat().st_mode & 0o777 == 0o666 & ~umask
+    assert os.environ["RAY_USAGE_STATS_ENABLED"] == "0"
+    token = Path.home() / ".ray" / "auth_token"
+    assert not token.exists() or token.stat().st_mode & 0o077 == 0
+
+
+@pytest.mark.parametrize(
+    ("address", "message"), [("127.0.0.1:1", "no Ray cluster answers there"), ("nonsense", "must be HOST:PORT")]
+)
+def test_an_address_where_no_cluster_answers_is_refused_at_once(address, message):
+    from cluster.ray_executor import check_address
+
+    with pytest.raises(UserError, match=message):
+        check_address(address)
+
+
+def descendants(pid):
+    """Process ids of the children of a process, and of theirs."""
+    parents = {}
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            with contextlib.suppress(OSError):
+                parents[int(entry.name)] = int(entry.joinpath("stat").read_text().rpartition(")")[2].split()[1])
+    found, new = set(), {pid}
+    while new:
+        found |= new
+        new = {child for child, parent in parents.items() if parent in found} - found
+    return found - {pid}
 
 
 @pytest.mark.cluster
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
 def test_a_worker_that_is_killed_is_started_again_and_every_row_is_there_once(tmp_path):
-    import subprocess
-
     killed = []
 
     def kill_a_worker():
@@ -75,10 +109,12 @@ def test_a_worker_that_is_killed_is_started_again_and_every_row_is_there_once(tm
             time.sleep(0.2)
             if not list((tmp_path / "ray" / ".progress").glob("*")):
                 continue
-            found = subprocess.run(["pgrep", "-f", "ray::run_shard"], capture_output=True, text=True).stdout.split()
-            for pid in found[:1]:
-                os.kill(int(pid), signal.SIGKILL)
-                killed.append(pid)
+            for pid in descendants(os.getpid()):
+                with contextlib.suppress(OSError):
+                    if b"ray::run_shard" in Path(f"/proc/{pid}/cmdline").read_bytes():
+                        os.kill(pid, signal.SIGKILL)
+                        killed.append(pid)
+                        break
 
     thread = threading.Thread(target=kill_a_worker, daemon=True)
     thread.start()

@@ -119,8 +119,8 @@ def build(path: Path) -> Path:
     """Study "demo": 3 seeds a setting. The comments give mean returns; X is a diverged trial, - a missing one."""
     store = SyntheticStore(path)
 
-    def plan(agent: str, environment: str, setting: str, x: float, tau: float, kappa: float = 1.0) -> list[dict]:
-        hypers = {"critic_step_size": x, "entropy_scale": tau, "actor_step_size_scale": kappa, "setting": setting * 16}
+    def plan(agent: str, environment: str, setting: str, x: float, entropy_scale: float, kappa: float = 1.0) -> list[dict]:
+        hypers = {"critic_step_size": x, "entropy_scale": entropy_scale, "actor_step_size_scale": kappa, "setting": setting * 16}
         return [store.plan("demo", agent, environment, seed, **hypers) for seed in range(3)]
 
     a = plan("GreedyAC", "Pendulum-CA", "a", 1e-3, 0.1)  # 20, 30, 40
