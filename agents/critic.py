@@ -46,12 +46,13 @@ class Critic:
         """Return q (the smaller) [P, B, N] of states [P, B, S], each with N actions [P, B, N, A] (encoded, if discrete)."""
         return self.smaller(self.online.values_of_actions(self._each(states), self._each(actions)))
 
-    def values_of_all_actions(self, states: Tensor) -> Tensor:
-        """Return q (the smaller) [P, B, n] of every discrete action."""
+    def values_of_all_actions(self, states: Tensor, *, target: bool = False) -> Tensor:
+        """Return q (the smaller), or q_targ, [P, B, n] of every discrete action."""
         assert isinstance(self.task.actions, Discrete)
         every = torch.arange(self.task.actions.count, dtype=states.dtype, device=states.device).view(1, 1, -1, 1)
         every = self._encoded(every)
-        return self.values_of_actions(states, every.expand(*states.shape[:2], *every.shape[2:]))
+        network, actions = self.target if target else self.online, every.expand(*states.shape[:2], *every.shape[2:])
+        return self.smaller(network.values_of_actions(self._each(states), self._each(actions)))
 
     def learn(self, batch: Batch, next_values: Tensor) -> Tensor:
         """Descend the mean of (R + γ·continues·v' − q_i(S, A))² for the values v' [P, B, 1] of S'; return the loss [P].

@@ -195,7 +195,7 @@ class SACOriginalHypers(ActorCriticHypers):
 class DDPGHypers(ActorCriticHypers):
     """Deep Deterministic Policy Gradient (thesis Algorithm 4)."""
 
-    exploration: str = hyper(
+    exploration_noise: str = hyper(
         "gaussian",
         "choice",
         "process of the noise that is added to actions",
@@ -286,7 +286,8 @@ class _EveryName(Mapping[str, Hyper]):
 class FreeHypers(Hypers):
     """The hyperparameters of a function that declares none: any names, any plain values."""
 
-    table: ClassVar[Mapping[str, Hyper]] = _EveryName()
+    def __init_subclass__(cls) -> None:
+        """Keep the table."""
 
     def __init__(self, **values: Any) -> None:
         object.__setattr__(self, "values", {name: self.table[name].check(value) for name, value in sorted(values.items())})
@@ -313,3 +314,6 @@ class FreeHypers(Hypers):
     def shared(self) -> tuple[tuple[str, Any], ...]:
         """Return all values."""
         return tuple(self.as_dict().items())
+
+
+FreeHypers.table = _EveryName()

@@ -83,8 +83,21 @@ def _dataset(files: list[Path], declared: pa.Schema, open: bool) -> ds.Dataset:
     columns = declared.remove_metadata()
     for file in files if open else ():
         try:
-            columns = pa.unify_schemas([columns, pq.read_schema(file).remove_metadata()], promote_options="permissive")
-        except (pa.ArrowTypeError, pa.ArrowInvalid, OSError) as error:
+            columns = _side_by_side(columns, pq.read_schema(file).remove_metadata())
+        except (pa.ArrowInvalid, OSError) as error:
             raise UserError(f"{file}: cannot be read beside the others ({error})") from None
     checked = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
     return ds.dataset(files, schema=columns, format=ds.ParquetFileFormat(default_fragment_scan_options=checked))
+
+
+def _side_by_side(columns: pa.Schema, more: pa.Schema) -> pa.Schema:
+    """Return the columns of both; a hyperparameter that is a number here and a text there becomes a text."""
+    fields = {field.name: field for field in columns}
+    for field in more:
+        known = fields.get(field.name, field)
+        try:
+            (merged,) = pa.unify_schemas([pa.schema([known]), pa.schema([field])], promote_options="permissive")
+        except pa.ArrowTypeError:
+            merged = pa.field(field.name, pa.string())
+        fields[field.name] = merged
+    return pa.schema(list(fields.values()))

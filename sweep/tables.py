@@ -140,9 +140,17 @@ def run_scores(records: EpisodeColumns, agent: int) -> dict[str, Any]:
 
 
 def members_table(study: str, stage: str, trials: Sequence[Trial]) -> pa.Table:
-    """Return the trials that a study needs, with the hyperparameters of all its agents as columns."""
+    """Return the trials that a study needs, with the hyperparameters of all its agents as columns.
+
+    A hyperparameter that is of different types in different agents becomes a text.
+    """
     hypers: dict[str, Any] = {}
+    texts: set[str] = set()
     for trial in trials:
-        hypers |= trial.applicable_hypers
+        for name, value in trial.applicable_hypers.items():
+            if schema.hyper_field(name, hypers.setdefault(name, value)).type != schema.hyper_field(name, value).type:
+                texts.add(name)
+    hypers |= dict.fromkeys(texts, "")
     rows = [{"study": study, "stage": stage, **_identity_columns(trial)} for trial in trials]
+    rows = [row | {name: str(row[name]) for name in texts if name in row} for row in rows] if texts else rows
     return pa.Table.from_pylist(rows, schema.with_hypers(schema.MEMBERS, hypers))

@@ -4,8 +4,8 @@ A deterministic actor scaled into the action range by tanh, a critic, and target
 Shapes: population P, batch B, action dimensions A.
 
 Deviations from the printed pseudo-code:
-- Line 5: noise is in units of half the action range, the action is clipped to the range; `exploration` "gaussian" is as printed,
-  "ornstein-uhlenbeck" the process of Lillicrap et al., ε ← ε − 0.15·ε + σ·N(0, 1), begun anew with every agent, not episode.
+- Line 5: noise is in units of half the action range, the action is clipped to the range; `exploration_noise` "gaussian" is as
+  printed, "ornstein-uhlenbeck" the process of Lillicrap et al., ε ← ε − 0.15·ε + σ·N(0, 1), begun anew with every agent, not episode.
 - Line 11 adds the gradient of a loss; it is descended here. Line 10 knows no termination: γ·continues.
 """
 
@@ -32,7 +32,7 @@ class DDPG:
         """Initialize θ, θ_targ, φ, φ_targ (line 2)."""
         assert isinstance(task.actions, Continuous)
         P, hypers = len(population), population.shared
-        self.space, self.stream, self.exploration = task.actions, stream, hypers.exploration
+        self.space, self.stream, self.exploration = task.actions, stream, hypers.exploration_noise
         self.polyak = population.stacked("polyak")[:, None]
         self.exploration_scale = population.stacked("exploration_scale")[:, None]
         self.noise = torch.zeros(P, task.actions.size, device=population.device)

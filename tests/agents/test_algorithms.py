@@ -182,7 +182,7 @@ def test_networks_that_must_start_equal_or_different_do():
 
 @pytest.mark.parametrize("exploration", ["gaussian", "ornstein-uhlenbeck"])
 def test_ddpg_explores_with_the_process_that_is_asked_for(exploration):
-    population = Population(stacked_hypers("DDPG", {"exploration": exploration}), (0, 1, 2), torch.device("cpu"))
+    population = Population(stacked_hypers("DDPG", {"exploration_noise": exploration}), (0, 1, 2), torch.device("cpu"))
     stream = population.stream()
     with torch.no_grad():
         agents = ALGORITHMS["DDPG"].load()(population, Task(S, CONTINUOUS_2, 0.99), stream)

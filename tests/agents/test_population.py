@@ -6,8 +6,9 @@ import torch
 
 import agents
 from agents.hypers import GreedyACHypers, SACHypers
+from agents.networks import PopulationMLP
 from agents.population import Population
-from agents.registry import ALGORITHMS, ENVIRONMENTS
+from agents.registry import ALGORITHMS, ENVIRONMENTS, AlgorithmLookupError
 
 STEPS = 150
 COLUMNS = ("first_step", "length", "episodic_return", "ending")
@@ -15,15 +16,25 @@ COLUMNS = ("first_step", "length", "episodic_return", "ending")
 
 def settings(algorithm, count, **shared):
     cls = ALGORITHMS[algorithm].hypers
+    own = {"entropy_scale": lambda i: 0.1 * (i % 5), "exploration_scale": lambda i: 0.1 * (i % 3)}
     return [
         cls(
             critic_step_size=10.0 ** -(2 + i % 3),
             actor_step_size_scale=0.5 + i % 4,
-            entropy_scale=0.1 * (i % 5),
             **shared,
+            **{name: value(i) for name, value in own.items() if name in cls.table},
         )
         for i in range(count)
     ]
+
+
+PAIRS = [
+    (algorithm, environment)
+    for algorithm in ALGORITHMS
+    for environment in ENVIRONMENTS
+    if ENVIRONMENTS[environment].actions in ALGORITHMS[algorithm].actions
+]
+ONE_OF_EACH_KIND = [pair for pair in PAIRS if pair[1].startswith("Pendulum")]
 
 
 def train(algorithm, environment, hypers, seeds, steps=STEPS):
@@ -38,8 +49,7 @@ def assert_same_agent(first, first_index, second, second_index):
     np.testing.assert_array_equal(episodes(first, first_index), episodes(second, second_index))
 
 
-@pytest.mark.parametrize("environment", ENVIRONMENTS)
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
+@pytest.mark.parametrize(("algorithm", "environment"), PAIRS)
 def test_an_agent_alone_equals_the_same_agent_in_a_crowd(algorithm, environment):
     hypers, seeds = settings(algorithm, 7), [3, 1, 4, 1, 5, 9, 2]
     crowd = train(algorithm, environment, hypers, seeds)
@@ -50,28 +60,32 @@ def test_an_agent_alone_equals_the_same_agent_in_a_crowd(algorithm, environment)
     assert_same_agent(pair, 1, crowd, 2)
 
 
+def networks_of(thing):
+    """Every population network within an algorithm, found by looking into it."""
+    if isinstance(thing, PopulationMLP):
+        yield thing
+    elif type(thing).__module__.startswith("agents."):
+        for part in vars(thing).values():
+            yield from networks_of(part)
+
+
 @pytest.mark.parametrize("shared", [{}, {"hidden_layers": (10, 33, 7), "batch_size": 5}, {"hidden_layers": (64, 64, 64)}])
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
-def test_every_parameter_of_an_agent_is_the_same_alone_and_in_a_crowd(algorithm, shared):
+@pytest.mark.parametrize(("algorithm", "environment"), ONE_OF_EACH_KIND)
+def test_every_parameter_of_an_agent_is_the_same_alone_and_in_a_crowd(algorithm, environment, shared, monkeypatch):
     """Returns could hide a difference in the last bit; parameters after 100 updates cannot."""
+    original, caught = ALGORITHMS[algorithm].load(), []
+
+    def spy(*arguments):
+        caught.append(original(*arguments))
+        return caught[-1]
+
+    monkeypatch.setattr(type(ALGORITHMS[algorithm]), "load", lambda self: spy)
 
     def parameters(hypers, seeds):
-        caught = []
-        cls = ALGORITHMS[algorithm].load()
-
-        class Spy(cls):
-            def __init__(self, *arguments):
-                super().__init__(*arguments)
-                caught.append(self)
-
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(type(ALGORITHMS[algorithm]), "load", lambda self: Spy)
-            train(algorithm, "Pendulum-CA", hypers, seeds)
-        networks = [
-            network for network in vars(caught[0]).values() if hasattr(network, "parameters") and hasattr(network, "widths")
-        ]
-        rows = [network.parameters.view(len(hypers) if len(hypers) > 1 else 2, -1) for network in networks]
-        return torch.cat(rows, 1)
+        train(algorithm, environment, hypers, seeds)
+        networks = list(networks_of(caught.pop()))
+        assert len(networks) >= 3
+        return torch.cat([network.parameters.reshape(max(2, len(hypers)), -1) for network in networks], 1)
 
     for count in (2, 5, 33):
         hypers, seeds = settings(algorithm, count, **shared), list(range(count))
@@ -80,12 +94,38 @@ def test_every_parameter_of_an_agent_is_the_same_alone_and_in_a_crowd(algorithm,
             assert torch.equal(parameters([hypers[index]], [seeds[index]])[0], crowd[index])
 
 
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
-def test_two_seeds_differ_and_the_same_seed_repeats(algorithm):
+@pytest.mark.parametrize(("algorithm", "environment"), ONE_OF_EACH_KIND)
+def test_two_seeds_differ_and_the_same_seed_repeats(algorithm, environment):
     hypers = settings(algorithm, 1) * 3
-    records = train(algorithm, "Pendulum-CA", hypers, [0, 1, 0])
+    records = train(algorithm, environment, hypers, [0, 1, 0])
     assert not np.array_equal(episodes(records, 0)[2], episodes(records, 1)[2])
     assert_same_agent(records, 0, records, 2)
+
+
+@pytest.mark.parametrize(("algorithm", "environment"), ONE_OF_EACH_KIND)
+def test_different_seeds_differ_in_weights_actions_and_minibatches(algorithm, environment, monkeypatch):
+    original, caught, batches, actions = ALGORITHMS[algorithm].load(), [], [], []
+
+    class Spy(original):
+        def __init__(self, *arguments):
+            super().__init__(*arguments)
+            caught.extend(network.parameters.clone() for network in networks_of(self))
+
+        def act(self, observations, step):
+            actions.append(super().act(observations, step))
+            return actions[-1]
+
+        def update(self, batch, step):
+            batches.append(batch.rewards.clone())
+            return super().update(batch, step)
+
+    monkeypatch.setattr(type(ALGORITHMS[algorithm]), "load", lambda self: Spy)
+    train(algorithm, environment, settings(algorithm, 1) * 2, [0, 1], steps=40)
+    for parameters in caught:
+        first, second = parameters.reshape(2, -1)
+        assert not torch.equal(first, second)
+    assert not torch.equal(torch.stack(actions)[:, 0], torch.stack(actions)[:, 1])
+    assert not torch.equal(torch.stack(batches)[:, 0], torch.stack(batches)[:, 1])
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
@@ -94,16 +134,34 @@ def test_three_hidden_layers_train_too(algorithm):
     assert np.isfinite(train(algorithm, "MountainCar-CA", hypers, [0, 1], steps=50).episodic_return).all()
 
 
-@pytest.mark.parametrize(("algorithm", "cls"), [("GreedyAC", GreedyACHypers), ("SAC", SACHypers)])
-def test_an_agent_that_diverges_is_marked_and_its_neighbours_do_not_notice(algorithm, cls):
-    good, bad = cls(critic_step_size=1e-3), cls(critic_step_size=1e30)
-    records = train(algorithm, "MountainCar-CA", [good, bad, good], [0, 1, 2])
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+@pytest.mark.parametrize("environment", ["MountainCar-CA", "MountainCar-DA"])
+def test_an_agent_that_diverges_is_frozen_and_marked_and_its_neighbours_do_not_notice(algorithm, environment, monkeypatch):
+    if (algorithm, environment) not in PAIRS:
+        pytest.skip("cannot act there")
+    given, cls = [], type(ENVIRONMENTS[environment].make(3))
+    step = cls.step
+
+    def spy(self, states, actions):
+        given.append(actions.clone())
+        return step(self, states, actions)
+
+    hypers = ALGORITHMS[algorithm].hypers
+    good, bad = hypers(critic_step_size=1e-3), hypers(critic_step_size=1e30)
+    with monkeypatch.context() as patch:
+        patch.setattr(cls, "step", spy)
+        records = train(algorithm, environment, [good, bad, good], [0, 1, 2])
+    diverged_at = int(records.diverged_at[1])
     assert records.diverged_at[0] == records.diverged_at[2] == 0
-    assert 32 <= records.diverged_at[1] <= 60
+    assert 32 <= diverged_at <= 60
+    actions = torch.stack(given)
+    assert actions.isfinite().all()
+    assert not actions[diverged_at:, 1].any()
+    assert actions[diverged_at:, 0].any()
     returns = records.episodic_return[records.agent == 1]
-    first_bad = int((records.diverged_at[1] - 1) // 20)
+    first_bad = (diverged_at - 1) // 20
     assert np.isfinite(returns[:first_bad]).all() and np.isnan(returns[first_bad:]).all()
-    healthy = train(algorithm, "MountainCar-CA", [good, good], [0, 2])
+    healthy = train(algorithm, environment, [good, good], [0, 2])
     assert_same_agent(records, 0, healthy, 0)
     assert_same_agent(records, 2, healthy, 1)
 
@@ -115,6 +173,10 @@ def test_agents_whose_tensor_programs_differ_are_refused():
 
 
 def test_what_cannot_be_trained_is_refused():
+    with pytest.raises(ValueError, match="DDPG acts in continuous action spaces only; Pendulum-DA is discrete"):
+        train("DDPG", "Pendulum-DA", settings("DDPG", 1), [0])
+    with pytest.raises(AlgorithmLookupError, match='"TRPO": unknown agent'):
+        train("TRPO", "Pendulum-DA", settings("DDPG", 1), [0])
     with pytest.raises(ValueError, match="SAC takes SACHypers"):
         train("SAC", "Pendulum-CA", [GreedyACHypers()], [0])
     with pytest.raises(ValueError, match="steps = 0"):

@@ -74,11 +74,12 @@ def main():
                 )
                 records, seen = watch(hypers, arguments.steps)
                 reached = len(np.unique(records.agent[records.ending == 0]))
-                print(f"\n{depth} layers, κ = {scale:g}, critic input {critic_input}: {reached} of {len(SEEDS)} reach the goal in {arguments.steps:,} steps")
+                print(f"\n{depth} layers, κ = {scale:g}, critic input {critic_input}:")
+                print(f"  {reached} of {len(SEEDS)} reach the goal in {arguments.steps:,} steps")
                 for step, (entropy, dead, spread) in seen.items():
                     print(
-                        f"  step {step:6,}: entropy {entropy.mean():.3f} (ln 3 = 1.099), {dead.mean():4.0%} of the last layer dead, "
-                        f"π(right) varies by {spread.mean():.3f} between states",
+                        f"  step {step:6,}: entropy {entropy.mean():.3f} (ln 3 = 1.099), {dead.mean():4.0%} of the last "
+                        f"layer dead, π(right) varies by {spread.mean():.3f} between states",
                         flush=True,
                     )
 

@@ -149,7 +149,7 @@ BAD = [
     (
         'name = "SAC"',
         'name = "sac"',
-        'agent[1].name = "sac": unknown agent; did you mean "SAC"? Known: DDPG, GreedyAC, SAC, SAC-original, VanillaAC',
+        'agent[1].name = "sac": unknown agent; did you mean "SAC"? Known: DDPG, GreedyAC, SAC, SAC-original, VanillaAC; or package.module:Name',
     ),
     (
         "num_action_samples =",

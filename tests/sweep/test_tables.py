@@ -75,6 +75,19 @@ def test_a_shard_becomes_one_row_a_trial_an_episode_and_a_step():
     assert rest.steps.num_rows == 5
 
 
+def test_a_hyperparameter_of_different_types_in_different_agents_becomes_a_text():
+    from agents.hypers import FreeHypers
+
+    trials = [
+        Trial("SAC", "Pendulum-CA", FreeHypers(depth=2), 0, 5, 1000, 0.99),
+        Trial("GreedyAC", "Pendulum-CA", FreeHypers(depth="deep"), 0, 5, 1000, 0.99),
+        Trial("GreedyAC", "Pendulum-CA", FreeHypers(other=True), 0, 5, 1000, 0.99),
+    ]
+    table = members_table("study", "tune", trials)
+    assert table["depth"].to_pylist() == ["2", "deep", None]
+    assert table["other"].to_pylist() == [None, None, True]
+
+
 def test_members_have_the_hyperparameters_of_all_agents_as_columns():
     from agents.hypers import GreedyACHypers
 

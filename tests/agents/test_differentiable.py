@@ -1,0 +1,31 @@
+import torch
+from torch import nn
+
+from agents.differentiable import differentiable, take_gradient
+from agents.networks import PopulationMLP
+
+
+def test_gradients_under_autograd_equal_those_of_torch_nn_even_through_two_passes():
+    generator = torch.Generator().manual_seed(0)
+    network = PopulationMLP(3, 4, (16, 8), (2,))
+    network.initialize_(torch.rand(network.parameters.shape, generator=generator))
+    first, second = torch.randn(2, 3, 5, 4, generator=generator).unbind()
+    inputs = first.clone().requires_grad_()
+    outputs = differentiable(network, inputs)
+    ((outputs**2).mean(1).sum() + (outputs * differentiable(network, second)).sum()).backward()
+    gradient = take_gradient(network)
+    for p in range(3):
+        layers = []
+        for weights, biases in network.layers:
+            layer = nn.Linear(*weights.shape[1:])
+            layer.weight.data, layer.bias.data = weights[p].detach().T.clone(), biases[p, 0].detach().clone()
+            layers += [layer, nn.ReLU()]
+        twin = nn.Sequential(*layers[:-1])
+        x = first[p].clone().requires_grad_()
+        y = twin(x)
+        ((y**2).mean(0).sum() + (y * twin(second[p])).sum()).backward()
+        torch.testing.assert_close(inputs.grad[p], x.grad, rtol=1e-4, atol=1e-5)
+        for (weights, biases), layer in zip(network._views(gradient), layers[::2], strict=True):
+            torch.testing.assert_close(weights[p], layer.weight.grad.T, rtol=1e-4, atol=1e-5)
+            torch.testing.assert_close(biases[p, 0], layer.bias.grad, rtol=1e-4, atol=1e-5)
+    assert network.parameters.grad is None
