@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STORE ?= results
 
-.PHONY: help demo test test-slow test-cluster test-gpu test-mujoco check format bench clean
+.PHONY: help demo test test-slow test-cluster test-mujoco check format bench clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*##/\t/' | expand -t 16
@@ -22,9 +22,6 @@ test-slow: $(VENV)/installed-dev  ## learning at the published level and whateve
 
 test-cluster: $(VENV)/installed-dev  ## tests that kill processes
 	$(BIN)/python -m pytest -m cluster
-
-test-gpu: $(VENV)/installed-dev  ## tests that need a CUDA device
-	$(BIN)/python -m pytest -m gpu
 
 test-mujoco: $(VENV)/installed-dev  ## tests on MuJoCo's physics
 	$(BIN)/python -m pytest -m mujoco

@@ -48,6 +48,12 @@ class Actor:
             return Softmax(self.outputs(states)).sample(self.stream.uniforms(purpose, step, B).view(-1, B, 1))
         return Gaussian(self.space, self.outputs(states)).sample(self.noise(purpose, step, B, 1, self.space.size)).squeeze(2)
 
+    def mode(self, states: Tensor) -> Tensor:
+        """Return the deterministic action of each state [P, B, A]: the Gaussian's mean, or the most probable action."""
+        if isinstance(self.space, Discrete):
+            return Softmax(self.outputs(states)).mode()
+        return Gaussian(self.space, self.outputs(states)).mean
+
     def sample_squashed(self, states: Tensor, purpose: Purpose, step: int) -> SquashedSample:
         """Return one sample a state of the squashed Gaussian, with its log-probability."""
         assert isinstance(self.space, Continuous)

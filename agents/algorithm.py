@@ -29,6 +29,10 @@ class Algorithm(Protocol):
         """Return the actions [P, A] for observations [P, S] at this step."""
         ...
 
+    def act_deterministically(self, observations: Tensor) -> Tensor:
+        """Return actions [P, A] without exploration, drawing no random numbers; needed for evaluation episodes only."""
+        ...
+
     def update(self, batch: Batch, step: int) -> Tensor:
         """Learn from a batch and return the critic's loss [P]; an agent whose loss is not finite has diverged."""
         ...

@@ -91,6 +91,10 @@ class SquashedGaussian:
         self.log_std, self._inside = _clamped_log_std(outputs[..., A:])
         self.std = torch.exp(self.log_std)
 
+    def mode(self) -> Tensor:
+        """Return the deterministic action [P, B, A]: the squashed mean."""
+        return torch.tanh(self.mean) * self._scale + self._bias
+
     def sample(self, noise: Tensor) -> "SquashedSample":
         """Return the sample at standard normal noise [P, B, A]."""
         return SquashedSample(self, noise)
@@ -147,6 +151,10 @@ class Softmax:
         """Return action indices [P, B, 1] (float) for uniform numbers of that shape, by inversion."""
         below = self.probs.cumsum(dim=-1)[..., :-1] <= uniform
         return below.sum(dim=-1, keepdim=True).to(self.probs.dtype)
+
+    def mode(self) -> Tensor:
+        """Return the most probable action's index [P, B, 1] (float), the first of equal ones."""
+        return self.log_probs.argmax(dim=-1, keepdim=True).to(self.probs.dtype)
 
     def log_prob(self, actions: Tensor) -> Tensor:
         """Return ln π [P, B, 1] of action indices [P, B, 1]."""

@@ -28,6 +28,22 @@ class Records:
     episodic_return: np.ndarray
     ending: np.ndarray
     diverged_at: np.ndarray
+    evaluations: "Evaluations | None" = None
+
+
+@dataclass(frozen=True)
+class Evaluations:
+    """Deterministic evaluation episodes, one entry each: `step` is the steps of learning before it, `episode` counts within a step.
+
+    `ending` indexes ENDINGS; `episodic_return` is float32, NaN for an agent that had diverged.
+    """
+
+    agent: np.ndarray
+    step: np.ndarray
+    episode: np.ndarray
+    length: np.ndarray
+    episodic_return: np.ndarray
+    ending: np.ndarray
 
 
 class Recorder:

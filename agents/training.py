@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from agents.algorithm import Task
+from agents.evaluation import Evaluation, Evaluator
 from agents.hypers import Hypers
 from agents.population import padded
 from agents.records import Recorder, Records
@@ -26,6 +27,7 @@ def train(
     cutoff: int | None = None,
     discount: float = 0.99,
     device: str = "cpu",
+    evaluation: Evaluation | None = None,
     on_step: Callable[[int], None] | None = None,
 ) -> Records:
     """Train one agent for each pair of hyperparameters and seed, and return their episodes.
@@ -33,6 +35,7 @@ def train(
     The result of an agent depends on its own hyperparameters and seed only, bit for bit on one machine, not on who is trained
     beside it. One update follows every step from the `batch_size`-th on; returns are those of the learning policy.
     `cutoff` truncates episodes (default: the environment's own); `on_step` is called after each step with its number.
+    `evaluation` asks for deterministic episodes beside the learning, which does not change by them.
 
     An agent whose action or critic loss stops being finite has diverged: it is marked, its returns are NaN from that episode on,
     and it stands still (action 0, or the nearest there is) for the rest of its steps.
@@ -62,6 +65,11 @@ def train(
         recorder = Recorder(len(population), population.device)
         states = world.start(stream, 0)
         observations = world.observe(states)
+        evaluator = None
+        if evaluation is not None:
+            if not hasattr(agents, "act_deterministically"):
+                raise ValueError(f"{algorithm} cannot be evaluated: it has no act_deterministically")
+            evaluator = Evaluator(evaluation, known.make(len(population)), stream.seeds, cutoff or known.cutoff)
         elapsed = torch.zeros(len(population), dtype=torch.int64, device=population.device)
         healthy = torch.ones(len(population), dtype=torch.bool, device=population.device)
         standstill = _standstill(world.actions, population.device)
@@ -86,9 +94,12 @@ def train(
                 states = torch.where(ended[:, None], world.start(stream, step, ended), states)
                 observations = world.observe(states)
                 elapsed = elapsed.masked_fill(ended, 0)
+            if evaluator is not None and evaluation is not None and step % evaluation.every == 0:
+                evaluator.run(agents, step, healthy)
             if on_step is not None:
                 on_step(step)
-    return _without_copies(recorder.finish(), len(hypers))
+    records = _without_copies(recorder.finish(), len(hypers))
+    return records if evaluator is None else replace(records, evaluations=evaluator.finish(len(hypers)))
 
 
 def _standstill(space: ActionSpace, device: torch.device) -> Tensor:

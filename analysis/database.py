@@ -32,6 +32,7 @@ _HYPERS = {name: value for known in ALGORITHMS.values() for name, value in known
 _TABLES = {
     "trials": ("shards/*/trials.parquet", schema.with_hypers(schema.TRIALS, _HYPERS)),
     "episodes": ("shards/*/episodes.parquet", schema.EPISODES),
+    "evaluations": ("shards/*/evaluations.parquet", schema.EVALUATIONS),
     "steps": ("shards/*/steps.parquet", schema.STEPS),
     "members": ("studies/*/members.parquet", schema.with_hypers(schema.MEMBERS, _HYPERS)),
 }

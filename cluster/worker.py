@@ -66,6 +66,7 @@ def _train_and_commit(work: Work, on_progress: Callable[[], None] | None) -> Rec
 def _train_population(work: Work, on_step: Callable[[int], None]) -> tuple[EpisodeColumns, Provenance]:
     import torch
 
+    from agents.evaluation import Evaluation
     from agents.networks import ENGINE
     from agents.training import train
 
@@ -82,6 +83,7 @@ def _train_population(work: Work, on_step: Callable[[int], None]) -> tuple[Episo
         cutoff=first.cutoff,
         discount=first.discount,
         device=device,
+        evaluation=Evaluation(*first.evaluation) if first.evaluation else None,
         on_step=on_step,
     )
     return records, origin

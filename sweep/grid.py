@@ -34,6 +34,13 @@ def _seeds(value: Any) -> Any:
 _Seeds = Annotated[Any, BeforeValidator(_seeds)]
 
 
+class EvaluationSection(_Section):
+    """[study] evaluation: deterministic episodes beside the learning"""
+
+    every: Annotated[int, Field(ge=1)]
+    episodes: Annotated[int, Field(ge=1, le=10_000)]
+
+
 class StudySection(_Section):
     """[study]"""
 
@@ -42,6 +49,7 @@ class StudySection(_Section):
     steps: Annotated[int, Field(ge=1, le=2**31 - 1)]
     cutoff: Annotated[int, Field(ge=1, le=2**31 - 1)] | None = None
     discount: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = 0.99
+    evaluation: EvaluationSection | None = None
 
 
 class SeedsSection(_Section):
@@ -92,6 +100,7 @@ class Grid:
     evaluate_seeds: tuple[int, ...]
     agents: tuple[AgentGrid, ...]
     text: str
+    evaluation: tuple[int, int] | None = None
 
 
 def builtin_grids() -> dict[str, str]:
@@ -143,6 +152,7 @@ def _resolve(file: GridFile, text: str) -> Grid:
         evaluate_seeds=evaluate,
         agents=tuple(_resolve_agent(agent, file) for agent in file.agent),
         text=text,
+        evaluation=(evaluation.every, evaluation.episodes) if (evaluation := file.study.evaluation) else None,
     )
 
 

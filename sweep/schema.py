@@ -65,6 +65,16 @@ EPISODES = _table(
     ("ending", _TEXT, "terminated, truncated (cutoff), budget (the trial's steps were used up: the return is partial)"),
 )
 
+#: One row per deterministic evaluation episode, of the trials that have any.
+EVALUATIONS = _table(
+    ("trial", _TEXT, "trial"),
+    ("step", pa.int32(), "steps of learning before it"),
+    ("episode", pa.int32(), "which of the episodes at that step, from 0"),
+    ("length", pa.int32(), "environment steps"),
+    ("episodic_return", pa.float32(), "undiscounted sum of rewards; NaN for an agent that had diverged"),
+    ("ending", _TEXT, "terminated or truncated"),
+)
+
 #: One row per environment step.
 STEPS = _table(
     ("trial", _TEXT, "trial"),

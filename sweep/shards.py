@@ -47,7 +47,7 @@ def pack(trials: Sequence[Trial], slots: int) -> list[Shard]:
     """
     groups: dict[tuple[Any, ...], list[Trial]] = {}
     for trial in trials:
-        key = (trial.agent, trial.environment, trial.steps, trial.cutoff, trial.discount, trial.hypers.shared())
+        key = (trial.agent, trial.environment, trial.steps, trial.cutoff, trial.discount, trial.evaluation, trial.hypers.shared())
         groups.setdefault(key, []).append(trial)
     shards = []
     for group in groups.values():

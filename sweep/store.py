@@ -1,7 +1,8 @@
 """A store of results: a folder that holds each finished trial exactly once.
 
     sweep-store.json                                marks the folder as a store
-    shards/<shard>/{trials,episodes,steps}.parquet  trials that were trained together: visible whole or not at all
+    shards/<shard>/{trials,episodes,steps}.parquet  trials that were trained together: visible whole or not at all;
+                                                    with evaluations.parquet where there are evaluation episodes
     studies/<study>/{grid.toml,members.parquet}     what a study needs, finished or not
     failures/<shard>.json                           the last error of a shard that could not be trained
     .staging/  .progress/  .lock                    work under way; never read as results
@@ -177,13 +178,15 @@ def _trials_in(file: Path) -> set[str]:
 
 
 def _write_tables(folder: Path, tables: ShardTables) -> None:
-    """Write and flush the three files.
+    """Write and flush the files.
 
     `steps` costs about as much as the episodes because the step numbers are stored as differences and the returns by
     dictionary and run length: plain encodings are a hundred times larger.
     """
     _write_table(folder / "trials.parquet", tables.trials)
     _write_table(folder / "episodes.parquet", tables.episodes)
+    if tables.evaluations is not None:
+        _write_table(folder / "evaluations.parquet", tables.evaluations)
     _write_table(
         folder / "steps.parquet",
         tables.steps,

@@ -43,16 +43,17 @@ class EpisodeColumns(Protocol):
 
 @dataclass(frozen=True)
 class ShardTables:
-    """The three tables of a shard; they are committed together."""
+    """The tables of a shard, which are committed together; `evaluations` if its trials have evaluation episodes."""
 
     trials: pa.Table
     episodes: pa.Table
     steps: pa.Table
+    evaluations: pa.Table | None = None
 
     def without(self, trials: set[str]) -> "ShardTables":
         """Return the tables without the rows of some trials."""
         kept = [name for name in self.trials["trial"].to_pylist() if name not in trials]
-        tables = (self.trials, self.episodes, self.steps)
+        tables = [self.trials, self.episodes, self.steps, *([self.evaluations] if self.evaluations is not None else [])]
         return ShardTables(*(table.filter(pc.is_in(table["trial"], pa.array(kept, pa.string()))) for table in tables))
 
 
@@ -89,7 +90,17 @@ def shard_tables(trials: Sequence[Trial], records: EpisodeColumns, wall_seconds:
         trials=pa.Table.from_pylist(rows, schema.with_hypers(schema.TRIALS, trials[0].applicable_hypers)),
         episodes=pa.table(episodes, schema.EPISODES),
         steps=pa.table(steps, schema.STEPS),
+        evaluations=_evaluations_table(ids, getattr(records, "evaluations", None)),
     )
+
+
+def _evaluations_table(ids: list[str], evaluations: Any) -> pa.Table | None:
+    if evaluations is None:
+        return None
+    columns = {name: getattr(evaluations, name) for name in ("step", "episode", "length", "episodic_return")}
+    trial = pa.DictionaryArray.from_arrays(pa.array(evaluations.agent, pa.int32()), pa.array(ids, pa.string()))
+    ending = pa.DictionaryArray.from_arrays(pa.array(evaluations.ending, pa.int32()), pa.array(schema.ENDINGS))
+    return pa.table({"trial": trial, **columns, "ending": ending}, schema.EVALUATIONS)
 
 
 def _identity_columns(trial: Trial) -> dict[str, Any]:

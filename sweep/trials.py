@@ -24,7 +24,7 @@ _IDENTITY_SCHEMA = 1
 
 @dataclass(frozen=True)
 class Trial:
-    """One training run. `hypers` holds the hyperparameters that apply on the environment, each with its value."""
+    """One training run. `evaluation` asks for deterministic episodes: after how many steps each time, how many episodes."""
 
     agent: str
     environment: str
@@ -33,6 +33,7 @@ class Trial:
     steps: int
     cutoff: int
     discount: float
+    evaluation: tuple[int, int] | None = None
 
     @cached_property
     def applicable_hypers(self) -> dict[str, Any]:
@@ -56,6 +57,7 @@ class Trial:
                 "steps": self.steps,
                 "cutoff": self.cutoff,
                 "discount": self.discount,
+                **({"evaluation": list(self.evaluation)} if self.evaluation else {}),
             }
         )
 
@@ -92,7 +94,7 @@ def expand(grid: Grid) -> list[Trial]:
             for hypers in settings:
                 for seed in grid.tune_seeds:
                     cutoff = grid.cutoff or find_environment(environment).cutoff
-                    trial = Trial(agent.name, environment, hypers, seed, grid.steps, cutoff, grid.discount)
+                    trial = Trial(agent.name, environment, hypers, seed, grid.steps, cutoff, grid.discount, grid.evaluation)
                     trials.setdefault(trial.id, trial)
     if contradictions:
         raise UserError("\n".join(f"{grid.name}: {message}" for message in contradictions))

@@ -138,6 +138,17 @@ def test_bad_usage_is_exit_code_1(finished, arguments, message):
     assert "Traceback" not in ran.stderr
 
 
+def test_evaluation_episodes_are_a_table_of_their_own(finished, tmp_path):
+    assert sweep("sql", "SELECT count(*) FROM evaluations", "--format", "csv", cwd=finished).stdout.split()[-1] == "0"
+    (tmp_path / "grid.toml").write_text(GRID.replace("cutoff = 25", "cutoff = 25\nevaluation = { every = 20, episodes = 2 }"))
+    assert sweep("launch", "grid.toml", "--executor", "in-process", cwd=tmp_path).returncode == 0
+    query = "SELECT count(*), count(DISTINCT trial), sum(length) FROM evaluations"
+    assert sweep("sql", query, "--format", "csv", cwd=tmp_path).stdout.split()[-1] == "48,8,1200"
+    assert not {file.name for file in tmp_path.glob("results/shards/*")} & {
+        file.name for file in finished.glob("results/shards/*")
+    }
+
+
 def test_a_limit_leaves_the_study_incomplete_with_exit_code_3(tmp_path):
     (tmp_path / "grid.toml").write_text(GRID)
     ran = sweep("launch", "grid.toml", "--executor", "in-process", "--limit", "3", cwd=tmp_path)

@@ -5,7 +5,7 @@ Shapes: population P, batch B, action dimensions A.
 
 Deviations from the printed pseudo-code:
 - Line 5: noise is in units of half the action range, the action is clipped to the range; `exploration_noise` "gaussian" is as
-  printed, "ornstein-uhlenbeck" the process of Lillicrap et al., ε ← ε − 0.15·ε + σ·N(0, 1), begun anew with every agent, not episode.
+  printed, "ornstein-uhlenbeck" the process of Lillicrap et al., ε ← ε − 0.15·ε + σ·N(0, 1), which goes on across episodes.
 - Line 11 adds the gradient of a loss; it is descended here. Line 10 knows no termination: γ·continues.
 """
 
@@ -49,6 +49,10 @@ class DDPG:
         self.noise = self.noise * (1 - _REVERSION) + drawn if self.exploration == "ornstein-uhlenbeck" else drawn
         policy = Deterministic(self.space, self.actor.forward(observations.unsqueeze(1)))
         return policy.perturbed(self.noise.unsqueeze(1)).squeeze(1)
+
+    def act_deterministically(self, observations: Tensor) -> Tensor:
+        """Return π(S), without noise."""
+        return Deterministic(self.space, self.actor.forward(observations.unsqueeze(1))).actions.squeeze(1)
 
     def update(self, batch: Batch, step: int) -> Tensor:
         """Update critic, actor and targets, in this order (lines 9–16)."""

@@ -46,6 +46,10 @@ class GreedyAC:
         """Draw A ~ π(·|S) (Algorithm 7, line 9)."""
         return self.actor.sample(observations.unsqueeze(1), Purpose.ACTION, step).squeeze(1)
 
+    def act_deterministically(self, observations: Tensor) -> Tensor:
+        """Return the actor's mean, or its most probable action."""
+        return self.actor.mode(observations.unsqueeze(1)).squeeze(1)
+
     def update(self, batch: Batch, step: int) -> Tensor:
         """Update critic, target, then proposal and actor, neither of which sees the other's step (Algorithm 7, lines 12–18)."""
         next_actions = self.actor.sample(batch.next_states, Purpose.NEXT_ACTION, step)

@@ -50,6 +50,13 @@ class SACOriginal:
             return self.actor.sample(states, Purpose.ACTION, step).squeeze(1)
         return self.actor.sample_squashed(states, Purpose.ACTION, step).actions.squeeze(1)
 
+    def act_deterministically(self, observations: Tensor) -> Tensor:
+        """Return the actor's squashed mean, or its most probable action."""
+        states = observations.unsqueeze(1)
+        if isinstance(self.space, Discrete):
+            return self.actor.mode(states).squeeze(1)
+        return SquashedGaussian(self.space, self.actor.outputs(states)).mode().squeeze(1)
+
     def update(self, batch: Batch, step: int) -> Tensor:
         """Update v, the critics, the target and the actor, in this order (lines 9–18)."""
         self._update_value(self._soft_values(batch.states, step), batch.states)  # lines 9–11

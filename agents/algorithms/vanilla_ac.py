@@ -38,6 +38,10 @@ class VanillaAC:
         """Draw A ~ π(·|S) (line 6)."""
         return self.actor.sample(observations.unsqueeze(1), Purpose.ACTION, step).squeeze(1)
 
+    def act_deterministically(self, observations: Tensor) -> Tensor:
+        """Return the actor's mean, or its most probable action."""
+        return self.actor.mode(observations.unsqueeze(1)).squeeze(1)
+
     def update(self, batch: Batch, step: int) -> Tensor:
         """Update critic, target and actor, in this order (lines 9–15)."""
         next_actions = self.actor.sample(batch.next_states, Purpose.NEXT_ACTION, step)

@@ -27,7 +27,7 @@ def columns(connection: duckdb.DuckDBPyConnection, view: str) -> list[str]:
 def test_every_table_and_view_of_an_empty_store_is_typed_and_empty(empty_store):
     connection = connect(empty_store)
     names = [row[0] for row in connection.execute("SHOW TABLES").fetchall()]
-    assert set(names) == {"trials", "episodes", "steps", "members"} | view_sources().keys()
+    assert set(names) == {"trials", "episodes", "evaluations", "steps", "members"} | view_sources().keys()
     filled = [name for name in names if connection.execute(f"SELECT count(*) FROM {name}").fetchone()[0]]
     assert filled == ["student_quantiles"]
 

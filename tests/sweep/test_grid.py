@@ -74,7 +74,7 @@ BAD = [
     (
         "steps = 1000",
         "stpes = 1000",
-        'study.stpes: unknown key; did you mean "steps"? Known: cutoff, discount, environments, name, steps',
+        'study.stpes: unknown key; did you mean "steps"? Known: cutoff, discount, environments, evaluation, name, steps',
     ),
     ("steps = 1000", "", "study.steps: is missing"),
     ("steps = 1000", "steps = 0", "study.steps = 0: must be greater than or equal to 1"),
@@ -85,6 +85,11 @@ BAD = [
         'study.name = "../../x": must be lower-case letters, digits and hyphens, 64 characters at most',
     ),
     ("cutoff = 100", "discount = 1.5", "study.discount = 1.5: must be less than or equal to 1"),
+    (
+        "cutoff = 100",
+        "evaluation = { every = 0, episodes = 1 }",
+        "study.evaluation.every = 0: must be greater than or equal to 1",
+    ),
     ("cutoff = 100", "discount = nan", "study.discount = nan: must be a finite number"),
     (
         '"MountainCar-CA"]',
@@ -149,7 +154,8 @@ BAD = [
     (
         'name = "SAC"',
         'name = "sac"',
-        'agent[1].name = "sac": unknown agent; did you mean "SAC"? Known: DDPG, GreedyAC, SAC, SAC-original, VanillaAC; or package.module:Name',
+        'agent[1].name = "sac": unknown agent; did you mean "SAC"? '
+        "Known: DDPG, GreedyAC, SAC, SAC-original, VanillaAC; or package.module:Name",
     ),
     (
         "num_action_samples =",
