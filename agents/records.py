@@ -33,7 +33,7 @@ class Records:
 
 @dataclass(frozen=True)
 class Evaluations:
-    """Deterministic evaluation episodes, one entry each: `step` is the steps of learning before it, `episode` counts within a step.
+    """Deterministic evaluation episodes, one entry each: `step` is the steps of learning before, `episode` counts within it.
 
     `ending` indexes ENDINGS; `episodic_return` is float32, NaN for an agent that had diverged.
     """

@@ -7,10 +7,9 @@ import pytest
 import torch
 
 import agents
-import agents.training
 from agents.environments.gymnasium import GymnasiumEnvironment
 from agents.hypers import SACHypers
-from agents.registry import find_environment
+from agents.registry import find_algorithm, find_environment
 from agents.replay import Replay
 from agents.rng import Purpose, RandomStream
 from agents.spaces import Continuous, Discrete
@@ -106,7 +105,7 @@ def stored(monkeypatch):
     entries = []
     monkeypatch.setattr(Replay, "add", lambda self, *transition: entries.append([part.clone() for part in transition]))
     monkeypatch.setattr(Replay, "sample", lambda self, stream, step, size: None)
-    monkeypatch.setattr(type(agents.training.ALGORITHMS["SAC"]), "load", lambda self: Spy)
+    monkeypatch.setattr(type(find_algorithm("SAC")), "load", lambda self: Spy)
     return entries
 
 
