@@ -91,3 +91,21 @@ def test_an_agent_that_has_diverged_is_evaluated_as_nan():
 def test_an_algorithm_that_cannot_act_deterministically_is_refused():
     with pytest.raises(ValueError, match="cannot be evaluated: it has no act_deterministically"):
         agents.train(f"{__name__}:Unable", "Pendulum-CA", [ActorCriticHypers()], [0], steps=5, evaluation=Evaluation(5, 1))
+
+
+class WithTheVelocity(FullTorque):
+    """Drives Mountain Car to its goal: always pushes the way the car is going."""
+
+    def act_deterministically(self, observations):
+        return torch.where(observations[:, 1:] >= 0, 1.0, -1.0)
+
+
+def test_an_episode_that_terminates_stops_counting_and_the_others_go_on():
+    name, seeds = f"{__name__}:WithTheVelocity", range(8)
+    e = agents.train(
+        name, "MountainCar-CA", [ActorCriticHypers()] * 8, seeds, steps=5, cutoff=300, evaluation=Evaluation(5, 1)
+    ).evaluations
+    assert e.ending.tolist() == [0] * 8
+    assert len(set(e.length.tolist())) > 1
+    assert e.length.min() >= 65
+    np.testing.assert_array_equal(e.episodic_return, -e.length)
