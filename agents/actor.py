@@ -7,10 +7,10 @@ from torch import Tensor
 from agents.algorithm import Task
 from agents.networks import Activations, PopulationMLP
 from agents.optimizer import PopulationAdam
-from agents.policies import Gaussian, Softmax, SquashedGaussian, SquashedSample
+from agents.policies import Gaussian, Softmax
 from agents.population import Population
 from agents.rng import Purpose, RandomStream
-from agents.spaces import Continuous, Discrete
+from agents.spaces import Discrete
 
 
 class Actor:
@@ -53,9 +53,3 @@ class Actor:
         if isinstance(self.space, Discrete):
             return Softmax(self.outputs(states)).mode()
         return Gaussian(self.space, self.outputs(states)).mean
-
-    def sample_squashed(self, states: Tensor, purpose: Purpose, step: int) -> SquashedSample:
-        """Return one sample a state of the squashed Gaussian, with its log-probability."""
-        assert isinstance(self.space, Continuous)
-        policy = SquashedGaussian(self.space, self.outputs(states))
-        return policy.sample(self.noise(purpose, step, states.shape[1], self.space.size))
