@@ -42,8 +42,8 @@ class SoftActor(Actor):
         """Move π(·|S) toward the Boltzmann policy of the smaller value; return ln π before [P, B, 1].
 
         Continuous: descend the mean of τ ln π(A|S) − q(S, A), A reparameterized: one sample estimates the KL divergence, whose
-        partition function does not depend on φ. Discrete: ascend the mean of Σ_a π(a)·[q(S, a) − τ ln π(a)], the bracket constant.
-        `entropy_scale` τ is [P, 1, 1].
+        partition function does not depend on φ. Discrete: ascend the mean of Σ_a π(a)·[q(S, a) − τ ln π(a)], the bracket being
+        constant. `entropy_scale` τ is [P, 1, 1].
         """
         B = states.shape[1]
         outputs, kept = self.outputs_for_gradient(states)
