@@ -45,7 +45,9 @@ class Actor:
         """Return one action a state [P, B, A], A ~ π(·|S): clamped Gaussian, or softmax."""
         B = states.shape[1]
         if isinstance(self.space, Discrete):
-            return Softmax(self.outputs(states)).sample(self.stream.uniforms(purpose, step, B).view(-1, B, 1))
+            policy = Softmax(self.outputs(states))
+            actions = policy.sample(self.stream.uniforms(purpose, step, B).view(-1, B, 1))
+            return policy.without_broken(actions) if purpose == Purpose.ACTION else actions
         return Gaussian(self.space, self.outputs(states)).sample(self.noise(purpose, step, B, 1, self.space.size)).squeeze(2)
 
     def mode(self, states: Tensor) -> Tensor:

@@ -15,11 +15,14 @@ from torch import Tensor
 from agents.networks import Activations, PopulationMLP
 
 
-def differentiable(network: PopulationMLP, inputs: Tensor) -> Tensor:
+def differentiable(network: PopulationMLP, inputs: Tensor, *, parameters: bool = True) -> Tensor:
     """Return the network's outputs [P, B, out] as a node of autograd's graph; needs `torch.enable_grad()` around it.
 
     Gradients with respect to the parameters accumulate in `network.parameters.grad`, those with respect to the inputs in theirs.
+    With `parameters` False the former are left alone: an actor's loss goes through a critic that does not learn from it.
     """
+    if not parameters:
+        return _Forward.apply(inputs, network.parameters.detach(), network)
     network.parameters.requires_grad_()
     return _Forward.apply(inputs, network.parameters, network)
 

@@ -25,6 +25,10 @@ class Evaluation:
     every: int
     episodes: int
 
+    def __post_init__(self) -> None:
+        if self.every < 1 or self.episodes < 1:
+            raise ValueError(f"every = {self.every}, episodes = {self.episodes}: must be at least 1")
+
 
 class Evaluator:
     """Runs evaluation episodes of a population and collects their returns."""
@@ -55,11 +59,12 @@ class Evaluator:
             total += torch.where(running, transition.rewards, 0.0)
             length += running
             terminated |= running & transition.terminated
-            running = running & ~transition.terminated
-            if transition.truncated is not None:
-                running = running & ~transition.truncated
+            ended = transition.terminated if transition.truncated is None else transition.terminated | transition.truncated
+            running &= ~ended
             if not running.any():
                 break
+            if ended.any():  # one that keeps its own state has to begin anew; what it does then does not count
+                states = torch.where(ended[:, None], self.world.start(self.stream, number, ended), states)
         total = torch.where(healthy, total, torch.nan)
         ending = torch.where(terminated, ENDINGS.index("terminated"), ENDINGS.index("truncated"))
         return [x.cpu().numpy() for x in (total, length, ending)]

@@ -49,9 +49,7 @@ class Hyper:
                 raise HyperparameterError(f"must be one of {', '.join(map(repr, self.choices))}")
             return value
         if self.type == "any":
-            if isinstance(value, dict) or (isinstance(value, float) and not math.isfinite(value)):
-                raise HyperparameterError("must be a finite number, a text, true or false, or a list of these")
-            return tuple(value) if isinstance(value, list) else value
+            return _plain(value)
         if self.type == "widths":
             widths = tuple(value) if isinstance(value, list | tuple) else ()
             if not widths or not all(type(width) is int and 0 < width <= _LARGEST_WIDTH for width in widths):
@@ -78,6 +76,19 @@ class Hyper:
         if self.maximum is not None and number > self.maximum:
             raise HyperparameterError(f"must be at most {self.maximum:g}")
         return number
+
+
+def _plain(value: Any) -> Any:
+    """Return a plain value, lists as tuples. Lists hold values of one type, so that they fit into a column."""
+    if isinstance(value, list | tuple):
+        items = tuple(_plain(item) for item in value)
+        if len({type(item) for item in items}) <= 1 and not any(isinstance(item, tuple) for item in items):
+            return items
+    elif type(value) in (bool, str) or (type(value) is int and abs(value) < 2**63):
+        return value
+    elif type(value) is float and math.isfinite(value):
+        return value + 0.0
+    raise HyperparameterError("must be a finite number, a text, true or false, or a list of one kind of these")
 
 
 def hyper(default: Any, type: Any, meaning: str, **known: Any) -> Any:

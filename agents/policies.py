@@ -152,6 +152,10 @@ class Softmax:
         below = self.probs.cumsum(dim=-1)[..., :-1] <= uniform
         return below.sum(dim=-1, keepdim=True).to(self.probs.dtype)
 
+    def without_broken(self, actions: Tensor) -> Tensor:
+        """Return action indices with NaN where the distribution itself is not finite: an action to be taken shows divergence."""
+        return actions.masked_fill(self.probs.isnan().any(dim=-1, keepdim=True), torch.nan)
+
     def mode(self) -> Tensor:
         """Return the most probable action's index [P, B, 1] (float), the first of equal ones."""
         return self.log_probs.argmax(dim=-1, keepdim=True).to(self.probs.dtype)

@@ -10,6 +10,7 @@ from typing import Any
 
 from agents.hypers import (
     ActionKind,
+    ActorCriticHypers,
     DDPGHypers,
     FreeHypers,
     GreedyACHypers,
@@ -25,7 +26,8 @@ class Algorithm:
     """An algorithm by name: its hyperparameters, the action spaces it can act in, "module:Class".
 
     `results_version` is part of every trial's identity: raise it when the same trial would give other numbers. A function
-    that trains `one_trial` at a time is called as `train(config, seed, report)` (`agents.function`).
+    that trains `one_trial` at a time is called as `train(config, seed, report)` (`agents.function`). `evaluates` says whether
+    it can act deterministically.
     """
 
     name: str
@@ -34,6 +36,7 @@ class Algorithm:
     implementation: str
     results_version: int = 1
     one_trial: bool = False
+    evaluates: bool = True
 
     def load(self) -> Any:
         """Import and return the class that implements the algorithm (imports torch)."""
@@ -89,10 +92,14 @@ class EnvironmentLookupError(LookupError):
 
 def _load(implementation: str) -> Any:
     module, _, name = implementation.partition(":")
+    return getattr(_import(module), name)
+
+
+def _import(module: str) -> Any:
     here = os.getcwd()
     if here not in sys.path and "" not in sys.path:
         sys.path.append(here)
-    return getattr(importlib.import_module(module), name)
+    return importlib.import_module(module)
 
 
 ALGORITHMS: dict[str, Algorithm] = {
@@ -133,20 +140,24 @@ def find_algorithm(name: str) -> Algorithm:
     if not colon or not module or not attribute:
         raise AlgorithmLookupError(name, "unknown agent")
     try:
-        found = _load(name)
-    except ImportError as error:
-        raise AlgorithmLookupError(name, f"cannot be imported: {error}") from error
-    except AttributeError:
-        raise AlgorithmLookupError(name, f"the module {module} has no {attribute}") from None
+        loaded = _import(module)
+    except Exception as error:  # whatever the user's module does
+        raise AlgorithmLookupError(name, f"cannot be imported: {type(error).__name__}: {error}") from error
+    if not hasattr(loaded, attribute):
+        raise AlgorithmLookupError(name, f"the module {module} has no {attribute}")
+    found = getattr(loaded, attribute)
     version = getattr(found, "results_version", 1)
     if not inspect.isclass(found):
         if not callable(found):
             raise AlgorithmLookupError(name, "is neither a class nor a function")
-        return Algorithm(name, FreeHypers, ("continuous", "discrete"), name, version, one_trial=True)
-    hypers = getattr(found, "hypers", None)
-    if not (inspect.isclass(hypers) and issubclass(hypers, Hypers)):
-        raise AlgorithmLookupError(name, "declares no hyperparameters: `hypers` must be a subclass of agents.hypers.Hypers")
-    return Algorithm(name, hypers, tuple(getattr(found, "actions", ("continuous", "discrete"))), name, version)
+        return Algorithm(name, FreeHypers, ("continuous", "discrete"), name, version, one_trial=True, evaluates=False)
+    hypers, actions = getattr(found, "hypers", None), getattr(found, "actions", ("continuous", "discrete"))
+    if not (inspect.isclass(hypers) and issubclass(hypers, ActorCriticHypers)):
+        raise AlgorithmLookupError(name, "declares no hyperparameters: `hypers` must be a subclass of ActorCriticHypers")
+    actions = (actions,) if isinstance(actions, str) else tuple(actions)
+    if not actions or not set(actions) <= {"continuous", "discrete"}:
+        raise AlgorithmLookupError(name, "`actions` must be among 'continuous' and 'discrete'")
+    return Algorithm(name, hypers, actions, name, version, evaluates=hasattr(found, "act_deterministically"))
 
 
 def find_environment(name: str) -> Environment:

@@ -19,6 +19,8 @@ class SoftActor(Actor):
 
     def sample(self, states: Tensor, purpose: Purpose, step: int) -> Tensor:
         """Return one action a state [P, B, A], A ~ π(·|S)."""
+        if isinstance(self.space, Discrete):
+            return super().sample(states, purpose, step)
         return self.sample_with_log_prob(states, purpose, step)[0]
 
     def sample_with_log_prob(self, states: Tensor, purpose: Purpose, step: int) -> tuple[Tensor, Tensor]:

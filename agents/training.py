@@ -37,14 +37,16 @@ def train(
     `cutoff` truncates episodes (default: the environment's own); `on_step` is called after each step with its number.
     `evaluation` asks for deterministic episodes beside the learning, which does not change by them.
 
-    An agent whose action or critic loss stops being finite has diverged: it is marked, its returns are NaN from that episode on,
-    and it stands still (action 0, or the nearest there is) for the rest of its steps.
+    An agent whose action, reward or critic loss stops being finite has diverged: it is marked, its returns are NaN from that
+    episode on, and it stands still (action 0, or the nearest there is) for the rest of its steps.
     `algorithm` and `environment` are names that `agents.registry` can find: built in, a Gymnasium id, or `package.module:Name`.
 
     Raises AlgorithmLookupError or EnvironmentLookupError for names that lead nowhere, ValueError when the agents cannot be
     trained together, are not of this algorithm, or cannot act in this environment, or when steps or cutoff are less than 1.
     """
     entry, known = find_algorithm(algorithm), find_environment(environment)
+    if entry.one_trial:
+        raise ValueError(f"{algorithm} is a function that trains one trial: agents.function.train_function calls it")
     if steps < 1 or (cutoff is not None and cutoff < 1):
         raise ValueError(f"steps = {steps}, cutoff = {cutoff}: must be at least 1")
     if not all(isinstance(one, entry.hypers) for one in hypers):
@@ -78,6 +80,7 @@ def train(
             healthy &= actions.isfinite().all(dim=1)
             actions = torch.where(healthy[:, None], actions, standstill)
             transition = world.step(states, actions)
+            healthy &= transition.rewards.isfinite()
             states, next_observations = transition.states, world.observe(transition.states)
             replay.add(observations, actions, transition.rewards, transition.terminated, next_observations)
             if step >= batch_size:

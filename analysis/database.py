@@ -40,7 +40,7 @@ _OPEN_TABLES = ("trials", "members")  # files may add hyperparameters of algorit
 
 
 def connect(store: str | Path, threads: int | None = None) -> duckdb.DuckDBPyConnection:
-    """Return a connection with the tables `trials`, `episodes`, `steps`, `members` and every view on them.
+    """Return a connection with the tables `trials`, `episodes`, `steps`, `evaluations`, `members` and every view on them.
 
     It can neither read nor write files, load extensions or be reconfigured. UserError where there is no store.
     """

@@ -19,8 +19,10 @@ from agents.registry import (
     find_algorithm,
     find_environment,
 )
+from sweep import schema
 from sweep.messages import nearest, suggestion
 
+_RESERVED = {*schema.TRIALS.names, *schema.MEMBERS.names}
 MAX_TRIALS = 1_000_000
 MAX_SEEDS = 1_000_000
 _FORMS = "a list, { values = […] }, { logspace = [first exponent, last exponent, count] } or { range = [first, last, step] }"
@@ -34,12 +36,15 @@ def problems(raw: dict[str, Any]) -> list[str]:
     found += _environment_problems(environments)
     found += _seed_problems(_table(raw.get("seeds")))
     known = [algorithm for agent in agents if isinstance(algorithm := _algorithm(agent.get("name")), Algorithm)]
-    shared_names = sorted({name for algorithm in known for name in algorithm.hypers.table})
+    # a function takes any name: it does not make a misspelled one right for the others
+    declaring = [algorithm for algorithm in known if not algorithm.one_trial] or known
+    shared_names = sorted({name for algorithm in declaring for name in algorithm.hypers.table})
     for section in ("fixed", "sweep"):
         for name, value in _table(raw.get(section)).items():
-            hypers = [algorithm.hypers.table[name] for algorithm in known if name in algorithm.hypers.table]
+            hypers = [algorithm.hypers.table[name] for algorithm in declaring if name in algorithm.hypers.table]
             found += _hyper_problems(f"{section}.{name}", section, name, value, hypers, shared_names)
     found += _named_twice(raw, "")
+    found += _evaluation_problems(_table(raw.get("study")), known)
     for number, agent in enumerate(agents, start=1):
         found += _agent_problems(f"agent[{number}]", agent, [str(name) for name in environments])
     return found
@@ -139,6 +144,20 @@ def _seed_problems(section: dict[str, Any]) -> list[str]:
     return found
 
 
+def _evaluation_problems(study: dict[str, Any], known: list[Algorithm]) -> list[str]:
+    every, steps = _table(study.get("evaluation")).get("every"), study.get("steps")
+    found = []
+    if type(every) is int and type(steps) is int and every > steps:
+        found.append(f"study.evaluation.every = {every}: trials end after {steps:,} steps; no evaluation would happen")
+    if "evaluation" in study:
+        found += [
+            f"study.evaluation: {algorithm.name} cannot be evaluated: it has no act_deterministically"
+            for algorithm in known
+            if not algorithm.evaluates
+        ]
+    return found
+
+
 def are_seeds(value: Any) -> bool:
     if isinstance(value, list):
         return bool(value) and all(type(seed) is int and 0 <= seed < 2**62 for seed in value)
@@ -172,6 +191,8 @@ def _algorithm(name: Any) -> Algorithm | str | None:
 
 
 def _hyper_problems(place: str, section: str, name: str, value: Any, hypers: list[Hyper], known: Any) -> list[str]:
+    if name in _RESERVED:
+        return [f"{place}: is the name of a column of every trial; a hyperparameter needs another"]
     if not hypers:
         return [f"{place}: unknown hyperparameter; {suggestion(name, known)}"] if known else []
     for hyper in hypers:  # every agent that has it must be able to take it

@@ -39,6 +39,11 @@ def test_every_make_target_that_is_named_exists(document):
     assert set(re.findall(r"`make ([a-z-]+)`", document.read_text())) <= targets
 
 
+def number_range(hyper):
+    low = "> 0" if hyper.positive else f"≥ {hyper.minimum:g}"
+    return low + (f", ≤ {hyper.maximum:g}" if hyper.maximum is not None else "")
+
+
 def hyperparameter_rows():
     """A line of the grid reference for each hyperparameter, from what the algorithms declare."""
     tables = {name: algorithm.hypers for name, algorithm in ALGORITHMS.items()}
@@ -50,8 +55,9 @@ def hyperparameter_rows():
         )
         valid = {"choice": ", ".join(f'"{choice}"' for choice in hyper.choices), "widths": "list of widths"}.get(hyper.type)
         if valid is None:
-            low = "> 0" if hyper.positive else f"≥ {hyper.minimum:g}"
-            valid = low + (f", ≤ {hyper.maximum:g}" if hyper.maximum is not None else "")
+            ranges = {algorithm: number_range(tables[algorithm].table[name]) for algorithm in owners}
+            most = max(ranges.values(), key=list(ranges.values()).count)
+            valid = most + "".join(f" ({algorithm}: {other})" for algorithm, other in ranges.items() if other != most)
         where = "all" if len(owners) == len(tables) else ", ".join(owners)
         yield f"| `{name}` | {hyper.meaning} | {valid} | {shown} | {where} |"
 

@@ -64,13 +64,15 @@ def test_a_function_that_was_not_written_for_populations_is_swept(folder, execut
     ("name", "message"),
     [
         ("my_agents:DQM", 'agent[1].name = "my_agents:DQM": the module my_agents has no DQM'),
-        ("nowhere:DQN", "agent[1].name = \"nowhere:DQN\": cannot be imported: No module named 'nowhere'"),
-        ("dataclasses:Field", "declares no hyperparameters: `hypers` must be a subclass of agents.hypers.Hypers"),
+        ("nowhere:DQN", "agent[1].name = \"nowhere:DQN\": cannot be imported: ModuleNotFoundError: No module named 'nowhere'"),
+        ("dataclasses:Field", "declares no hyperparameters: `hypers` must be a subclass of ActorCriticHypers"),
+        ("broken:DQN", "cannot be imported: SyntaxError"),
         ("sys:path", "is neither a class nor a function"),
     ],
 )
 def test_a_name_that_leads_nowhere_is_refused_before_anything_is_written(folder, name, message):
     grid = folder / "grid.toml"
+    (folder / "broken.py").write_text("class")
     grid.write_text(grid.read_text().replace("my_agents:DQN", name))
     ran = sweep("launch", "grid.toml", cwd=folder)
     assert ran.returncode == 1

@@ -4,6 +4,7 @@ A density h_ψ is moved, generation by generation, onto the samples of highest v
 which for the normal family has a closed form. Everything is in float64; samples are [N, D] for D-dimensional arguments.
 
 Deviations from the printed pseudo-code:
+- Algorithm 5, line 4 keeps ⌊ρN⌋ samples; `improve` keeps those from H_⌈(1−ρ)N⌉ on, as Algorithm 9 does: one more.
 - Algorithm 9 may never stop: `max_generations` bounds it, and the result says whether the thresholds had converged.
 - Algorithm 8 may stall when no elite passes the last threshold: ρ_t is then shrunk until one does or a sample is left
   (Rubinstein and Kroese, 2004, section 2.5); after `max_generations` ConvergenceError is raised.
@@ -12,7 +13,7 @@ Deviations from the printed pseudo-code:
 import itertools
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -132,21 +133,27 @@ def estimate_rare_event(
     generator: torch.Generator,
     final_count: int = 10_000,
     max_generations: int = 100,
+    learns_std: bool = False,
 ) -> RareEvent:
     """Estimate P(H(Y) ≥ ζ) under f_ξ = `nominal` by importance sampling (Algorithm 8): N = `count`, K = `final_count`.
+
+    Only the mean of the density moves, unless `learns_std`, which is unsafe for the reason that `Normal` gives.
 
     Raises ConvergenceError when the event stays out of reach.
     """
     generations: list[Generation] = []
-    density, reached = nominal, -math.inf
+    density, reached = replace(nominal, learns_std=learns_std), -math.inf
     while reached != threshold:
         if len(generations) == max_generations:
             raise ConvergenceError(f"threshold {reached:g} of {threshold:g} after {max_generations} generations")
         samples = density.sample(count, generator)
         values = objective(samples)
         reached = _next_threshold(values, fraction, threshold, reached)  # lines 10–11
-        ratio = (nominal.log_density(samples) - density.log_density(samples)).exp()
-        fitted = density.fit(samples, ratio * (values >= reached))  # lines 12–13
+        log_ratio = nominal.log_density(samples) - density.log_density(samples)
+        weights = (log_ratio - log_ratio.max()).exp() * (values >= reached)  # their scale does not matter to the fit
+        if not values.isfinite().all() or not weights.sum() > 0:
+            raise ConvergenceError(f"no sample with a finite weight above the threshold {reached:g}")
+        fitted = density.fit(samples, weights)  # lines 12–13
         generations.append(Generation(density, samples, values, reached, fitted))
         density = fitted
     samples = density.sample(final_count, generator)  # lines 16–17

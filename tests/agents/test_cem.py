@@ -19,9 +19,7 @@ def test_a_normal_tail_probability_is_estimated_within_its_standard_error(thresh
     """P(Y ≥ 6) is 1e-9: a thousand samples of Y itself would never see it."""
     exact = 0.5 * math.erfc(threshold / math.sqrt(2))
     found = [
-        estimate_rare_event(
-            lambda y: y[:, 0], threshold, normal([0.0], [1.0], learns_std=False), count=1000, fraction=0.1, generator=generator(s)
-        )
+        estimate_rare_event(lambda y: y[:, 0], threshold, normal([0.0], [1.0]), count=1000, fraction=0.1, generator=generator(s))
         for s in range(10)
     ]
     z = torch.tensor([(event.probability - exact) / event.standard_error for event in found])
@@ -35,7 +33,7 @@ def test_the_tail_of_a_sum_is_estimated_too():
     event = estimate_rare_event(
         lambda y: y.sum(1),
         12.0,
-        normal([0.0] * 5, [1.0] * 5, learns_std=False),
+        normal([0.0] * 5, [1.0] * 5),
         count=2000,
         fraction=0.1,
         generator=generator(),
@@ -55,6 +53,13 @@ def test_an_event_that_cannot_happen_is_reported():
             fraction=0.1,
             generator=generator(),
             max_generations=30,
+        )
+
+
+def test_an_event_beyond_what_numbers_can_weigh_is_reported_not_answered_with_nan():
+    with pytest.raises(ConvergenceError):
+        estimate_rare_event(
+            lambda y: y[:, 0] * float("nan"), 1.0, normal([0.0], [1.0]), count=100, fraction=0.1, generator=generator()
         )
 
 

@@ -29,3 +29,5 @@ def test_gradients_under_autograd_equal_those_of_torch_nn_even_through_two_passe
             torch.testing.assert_close(weights[p], layer.weight.grad.T, rtol=1e-4, atol=1e-5)
             torch.testing.assert_close(biases[p, 0], layer.bias.grad, rtol=1e-4, atol=1e-5)
     assert network.parameters.grad is None
+    differentiable(network, inputs, parameters=False).sum().backward()
+    assert network.parameters.grad is None

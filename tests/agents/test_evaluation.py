@@ -9,13 +9,13 @@ import torch
 import agents
 from agents.evaluation import Evaluation
 from agents.hypers import ActorCriticHypers
-from agents.registry import ALGORITHMS, ENVIRONMENTS
+from agents.registry import ALGORITHMS, find_environment
 
 PAIRS = [
     (algorithm, environment)
     for algorithm in ALGORITHMS
-    for environment in ("Pendulum-CA", "MountainCar-DA", "Acrobot-CA")
-    if ENVIRONMENTS[environment].actions in ALGORITHMS[algorithm].actions
+    for environment in ("Pendulum-CA", "Pendulum-DA", "Pendulum-v1", "CartPole-v1")
+    if find_environment(environment).actions in ALGORITHMS[algorithm].actions
 ]
 
 
@@ -86,6 +86,12 @@ def test_an_agent_that_has_diverged_is_evaluated_as_nan():
     hypers = [ALGORITHMS["SAC"].hypers(critic_step_size=x) for x in (1e-3, 1e30)]
     e = agents.train("SAC", "Pendulum-CA", hypers, [0, 1], steps=80, cutoff=20, evaluation=Evaluation(80, 1)).evaluations
     assert np.isfinite(e.episodic_return).tolist() == [True, False]
+
+
+def test_evaluating_never_or_with_no_episodes_is_refused():
+    for every, episodes in ((0, 1), (1, 0)):
+        with pytest.raises(ValueError, match="must be at least 1"):
+            Evaluation(every, episodes)
 
 
 def test_an_algorithm_that_cannot_act_deterministically_is_refused():

@@ -134,8 +134,35 @@ def test_three_hidden_layers_train_too(algorithm):
     assert np.isfinite(train(algorithm, "MountainCar-CA", hypers, [0, 1], steps=50).episodic_return).all()
 
 
-@pytest.mark.parametrize(("algorithm", "environment"), [pair for pair in PAIRS if pair[1].startswith("MountainCar")])
-def test_an_agent_that_diverges_is_frozen_and_marked_and_its_neighbours_do_not_notice(algorithm, environment, monkeypatch):
+@pytest.fixture
+def trained(monkeypatch):
+    """Train, and return the records and every parameter of the agents [P, n] at the end."""
+
+    def train_and_look(algorithm, environment, hypers, seeds):
+        original, caught = type(ALGORITHMS[algorithm]).load, []
+
+        def spy(entry):
+            cls = original(entry)
+            return lambda *arguments: caught.append(cls(*arguments)) or caught[-1]
+
+        with monkeypatch.context() as patch:
+            patch.setattr(type(ALGORITHMS[algorithm]), "load", spy)
+            records = train(algorithm, environment, hypers, seeds)
+        networks = networks_of(caught[-1])
+        return records, torch.cat([network.parameters.reshape(max(2, len(hypers)), -1) for network in networks], 1)
+
+    return train_and_look
+
+
+# A critic that overshoots, and an actor that does while its critic stays finite.
+WAYS_TO_DIVERGE = [{"critic_step_size": 1e30}, {"critic_step_size": 1e-3, "actor_step_size_scale": 1e38}]
+
+
+@pytest.mark.parametrize("bad", WAYS_TO_DIVERGE, ids=["critic", "actor"])
+@pytest.mark.parametrize(("algorithm", "environment"), ONE_OF_EACH_KIND)
+def test_an_agent_that_diverges_is_frozen_and_marked_and_its_neighbours_do_not_notice(
+    algorithm, environment, bad, trained, monkeypatch
+):
     given, cls = [], type(ENVIRONMENTS[environment].make(3))
     step = cls.step
 
@@ -144,10 +171,12 @@ def test_an_agent_that_diverges_is_frozen_and_marked_and_its_neighbours_do_not_n
         return step(self, states, actions)
 
     hypers = ALGORITHMS[algorithm].hypers
-    good, bad = hypers(critic_step_size=1e-3), hypers(critic_step_size=1e30)
+    good = hypers(critic_step_size=1e-3)
     with monkeypatch.context() as patch:
         patch.setattr(cls, "step", spy)
-        records = train(algorithm, environment, [good, bad, good], [0, 1, 2])
+        records, parameters = trained(algorithm, environment, [good, hypers(**bad), good], [0, 1, 2])
+    assert not parameters[1].isfinite().all()
+    assert parameters[[0, 2]].isfinite().all()
     diverged_at = int(records.diverged_at[1])
     assert records.diverged_at[0] == records.diverged_at[2] == 0
     assert 32 <= diverged_at <= 60
@@ -158,9 +187,10 @@ def test_an_agent_that_diverges_is_frozen_and_marked_and_its_neighbours_do_not_n
     returns = records.episodic_return[records.agent == 1]
     first_bad = (diverged_at - 1) // 20
     assert np.isfinite(returns[:first_bad]).all() and np.isnan(returns[first_bad:]).all()
-    healthy = train(algorithm, environment, [good, good], [0, 2])
+    healthy, healthy_parameters = trained(algorithm, environment, [good, good], [0, 2])
     assert_same_agent(records, 0, healthy, 0)
     assert_same_agent(records, 2, healthy, 1)
+    assert torch.equal(parameters[[0, 2]], healthy_parameters)
 
 
 def test_agents_whose_tensor_programs_differ_are_refused():

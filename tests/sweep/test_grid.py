@@ -192,6 +192,33 @@ def test_an_agent_that_cannot_act_in_a_gymnasium_environment_is_named():
         parse(text, "grid.toml")
 
 
+def test_evaluation_that_could_not_happen_is_refused():
+    with pytest.raises(UserError, match=r"every = 2000: trials end after 1,000 steps; no evaluation would happen"):
+        parse(edited(("cutoff = 100", "evaluation = { every = 2_000, episodes = 1 }")), "grid.toml")
+
+
+FUNCTION = GOOD[: GOOD.index("[sweep]")] + '[[agent]]\nname = "SAC"\n[[agent]]\nname = "textwrap:fill"\n'
+
+
+def test_a_function_does_not_make_a_misspelled_name_right_for_the_others():
+    parse(FUNCTION, "grid.toml")
+    with pytest.raises(UserError, match=r'fixed\.batch_sise: unknown hyperparameter; did you mean "batch_size"'):
+        parse(FUNCTION.replace("batch_size", "batch_sise"), "grid.toml")
+
+
+@pytest.mark.parametrize("name", ["seed", "agent", "steps", "episode_mean"])
+def test_a_hyperparameter_may_not_take_the_name_of_a_column(name):
+    with pytest.raises(UserError, match=rf"agent\[2\]\.sweep\.{name}: is the name of a column of every trial"):
+        parse(FUNCTION + f"sweep = {{ {name} = [1, 2] }}\n", "grid.toml")
+
+
+def test_functions_take_plain_values_and_cannot_be_evaluated():
+    with pytest.raises(UserError, match=r"agent\[2\]\.fixed\.a = .*: must be a finite number, a text, true or false, or a list"):
+        parse(FUNCTION + "fixed = { a = [[1, 2]] }\n", "grid.toml")
+    with pytest.raises(UserError, match=r"study\.evaluation: textwrap:fill cannot be evaluated"):
+        parse(FUNCTION.replace("cutoff = 100", "evaluation = { every = 10, episodes = 1 }"), "grid.toml")
+
+
 def test_all_mistakes_are_named_at_once():
     text = edited(
         ("steps = 1000", "stpes = 1000"), ('"SAC"', '"sac"'), ("[1e-2, 0.001]", "[-1]"), ("evaluate = 3", "evaluate = [1]")
