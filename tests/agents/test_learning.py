@@ -33,7 +33,7 @@ def published_level(algorithm, hypers, first_episode, last_episode):
 
 @pytest.mark.parametrize("entropy_gradient", ["score", "sampled", "analytic"])
 def test_greedy_ac_swings_up_and_balances_at_the_published_level(entropy_gradient):
-    """Table A.2; `facts`: 852 (8) for "score", 814 (23) "sampled", 846 (10) "analytic", means of 16 seeds."""
+    """Table A.2."""
     hypers = GreedyACHypers(critic_step_size=1e-2, actor_step_size_scale=0.1, entropy_scale=10, entropy_gradient=entropy_gradient)
     median = published_level("GreedyAC", hypers, 30, 40)
     assert median > (800 if entropy_gradient == "score" else 700)  # the published level is that of "score"
@@ -61,7 +61,8 @@ def random_returns(environment, episodes=50, steps=1000):
     return total.numpy()
 
 
-# Tables A.2 to A.4 where they have the algorithm; SAC-original and DDPG, which they lack, with SAC's step-sizes.
+# Tables A.2 to A.4 where they have the algorithm; of SAC-original, which they lack, SAC's step-sizes; of DDPG, the best of five
+# settings that were tried: its tanh saturates easily here.
 TUNED = [
     ("GreedyAC", "Pendulum-DA", GreedyACHypers(critic_step_size=1e-3, actor_step_size_scale=1.0)),
     ("VanillaAC", "Pendulum-DA", VanillaACHypers(critic_step_size=1e-3, actor_step_size_scale=2.0, entropy_scale=1.0)),
@@ -77,7 +78,7 @@ TUNED = [
         "Pendulum-DA",
         SACOriginalHypers(critic_step_size=1e-3, state_value_step_size=1e-3, actor_step_size_scale=1.0, entropy_scale=1.0),
     ),
-    ("DDPG", "Pendulum-CA", DDPGHypers(critic_step_size=1e-2, actor_step_size_scale=0.1, exploration_scale=0.3)),
+    ("DDPG", "Pendulum-CA", DDPGHypers(critic_step_size=1e-3, actor_step_size_scale=1.0, exploration_scale=0.3)),
 ]
 
 
