@@ -23,7 +23,7 @@ from plain_agents import PlainGreedyAC, PlainSAC
 import agents
 from agents.registry import ALGORITHMS
 
-TURNS, WARM_UP = 3, 40
+WARM_UP = 40
 PLAIN = {"GreedyAC": PlainGreedyAC, "SAC": PlainSAC}
 
 
@@ -103,17 +103,18 @@ def sgemm_rate(seconds=0.5):
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=4.0, help="of each turn")
+    parser.add_argument("--turns", type=int, default=3)
     parser.add_argument("--populations", type=int, nargs="+", default=[1, 16, 64])
     parser.add_argument("--json", type=Path, help="write the results there too")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     results = []
-    for algorithm in ALGORITHMS:
+    for algorithm in PLAIN:
         for layers in ((64, 64), (64, 64, 64)):
             hypers = ALGORITHMS[algorithm].hypers(hidden_layers=layers)
             rates = {"plain": 0.0, **dict.fromkeys(arguments.populations, 0.0)}
             gemm = 0.0
-            for _ in range(TURNS):
+            for _ in range(arguments.turns):
                 gemm = max(gemm, sgemm_rate())
                 rates["plain"] = max(rates["plain"], plain_rate(algorithm, hypers, arguments.seconds))
                 for population in arguments.populations:
