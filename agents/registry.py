@@ -169,4 +169,13 @@ def find_environment(name: str) -> Environment:
     Raises EnvironmentLookupError when there is none of that name, when something that it needs is not installed, and when its
     observations or actions are none that agents can be trained with.
     """
-    return ENVIRONMENTS.get(name) or _load("agents.environments.discovery:describe")(name)
+    if name in ENVIRONMENTS:
+        return ENVIRONMENTS[name]
+    try:
+        describe = _load("agents.environments.discovery:describe")
+    except ModuleNotFoundError as error:
+        if error.name != "gymnasium":
+            raise
+        reason = f"is not built in ({', '.join(ENVIRONMENTS)} are), and Gymnasium, which may know it, is not installed here"
+        raise EnvironmentLookupError(name, reason) from None
+    return describe(name)

@@ -3,6 +3,7 @@
 Exit codes: 0 done, 1 usage or bad input, 2 some trials failed, 3 incomplete or interrupted.
 """
 
+import importlib.util
 import json
 import os
 import sys
@@ -90,6 +91,8 @@ def launch(
         from cluster.ray_executor import check_address
 
         check_address(address)
+    if executor is ExecutorName.ray and importlib.util.find_spec("ray") is None:  # said before anything is written
+        raise ModuleNotFoundError(name="ray")
     console = Console(stderr=as_json)
     progress = Progress(console)
 
@@ -205,6 +208,13 @@ def analyze(
 _UsageMistake: Any = next(base for base in typer.BadParameter.__mro__ if base.__name__ == "ClickException")
 
 
+# Packages that a machine which only trains does without, and what to do there instead of installing them.
+_WITHOUT = {
+    "ray": "train in this process: --executor in-process",
+    **dict.fromkeys(("duckdb", "pandas", "matplotlib", "seaborn"), "copy the store, a folder, to a machine that has it"),
+}
+
+
 _INTERRUPTED = 130  # what typer makes of a keyboard interrupt
 
 
@@ -227,6 +237,10 @@ def main() -> None:
         sys.exit(code if isinstance(code, int) else 0)
     except OSError as error:
         _exit_for(error)
+    except ModuleNotFoundError as error:
+        if error.name not in _WITHOUT:
+            raise
+        typer.echo(f"error: {error.name} is not installed here: pip install {error.name}, or {_WITHOUT[error.name]}", err=True)
     except UserError as error:
         typer.echo(f"error: {error}" if "\n" not in str(error) else str(error), err=True)
     except _UsageMistake as error:

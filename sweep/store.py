@@ -22,17 +22,20 @@ import time
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from sweep import schema
 from sweep.messages import UserError
 from sweep.tables import ShardTables
 
 _MARKER = "sweep-store.json"
 _FORMAT = 1
 _STALE_SECONDS = 24 * 3600
+_ROW_GROUP_ROWS = 100_000
+_WRITING: dict[str, Any] = {"compression": "zstd", "write_page_checksum": True, "store_schema": False}
 
 
 class Store:
@@ -178,7 +181,7 @@ def _trials_in(file: Path) -> set[str]:
 
 
 def _write_tables(folder: Path, tables: ShardTables) -> None:
-    """Write and flush the files.
+    """Write and flush the files. Of `steps`, one row group at a time is in memory, however long the trials.
 
     `steps` costs about as much as the episodes because the step numbers are stored as differences and the returns by
     dictionary and run length: plain encodings are a hundred times larger.
@@ -187,19 +190,23 @@ def _write_tables(folder: Path, tables: ShardTables) -> None:
     _write_table(folder / "episodes.parquet", tables.episodes)
     if tables.evaluations is not None:
         _write_table(folder / "evaluations.parquet", tables.evaluations)
-    _write_table(
-        folder / "steps.parquet",
-        tables.steps,
-        use_dictionary=["trial", "episodic_return"],
-        column_encoding={"step": "DELTA_BINARY_PACKED"},
-        row_group_size=100_000,
-    )
+    encodings = {"use_dictionary": ["trial", "episodic_return"], "column_encoding": {"step": "DELTA_BINARY_PACKED"}}
+    with _flushed(folder / "steps.parquet") as sink, pq.ParquetWriter(sink, schema.STEPS, **_WRITING, **encodings) as writer:
+        for batch in tables.steps_in_blocks(_ROW_GROUP_ROWS):
+            writer.write_batch(batch)
     _flush_folder(folder)
 
 
-def _write_table(file: Path, table: pa.Table, **options: Any) -> None:
+def _write_table(file: Path, table: pa.Table) -> None:
+    with _flushed(file) as sink:
+        pq.write_table(table, sink, **_WRITING)
+
+
+@contextlib.contextmanager
+def _flushed(file: Path) -> Iterator[IO[bytes]]:
+    """Open a file to write to; what was written is on disk afterwards."""
     with open(file, "wb") as sink:
-        pq.write_table(table, sink, compression="zstd", write_page_checksum=True, store_schema=False, **options)
+        yield sink
         sink.flush()
         os.fsync(sink.fileno())
 

@@ -1,10 +1,10 @@
-"""The rows of a store from the records of training: trials, episodes and steps as Arrow tables.
+"""The rows of a store from the records of training: trials and episodes as Arrow tables, steps a block at a time.
 
 Scores of a run (thesis section 6.1; names as in the tables): the budget-cut last episode never enters a mean.
 """
 
 import datetime
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -43,22 +43,60 @@ class EpisodeColumns(Protocol):
 
 @dataclass(frozen=True)
 class ShardTables:
-    """The tables of a shard, which are committed together; `evaluations` if its trials have evaluation episodes."""
+    """The tables of a shard, which are committed together; `evaluations` if its trials have evaluation episodes.
+
+    The rows of `steps` are never here all at once: there may be a hundred million, and they follow from the episodes.
+    """
 
     trials: pa.Table
     episodes: pa.Table
-    steps: pa.Table
     evaluations: pa.Table | None = None
+
+    def steps_in_blocks(self, rows: int) -> Iterator[pa.RecordBatch]:
+        """Yield the table `steps`, trial after trial, in batches of `rows` rows; the last one holds the rest.
+
+        A batch may end within a trial, and may hold several short ones.
+        """
+        trial = self.episodes["trial"].combine_chunks()
+        owner = trial.indices.to_numpy()
+        first_step, length, episodic_return = (
+            self.episodes[name].to_numpy() for name in ("first_step", "length", "episodic_return")
+        )
+        end = np.cumsum(length, dtype=np.int64)
+        before = end - length  # rows before an episode's own
+        for start in range(0, int(length.sum()), rows):
+            stop = min(start + rows, end[-1])
+            first, last = np.searchsorted(end, [start, stop - 1], side="right")
+            here = slice(first, last + 1)  # the episodes with rows in this block, the first and the last perhaps in part
+            times = np.minimum(end[here], stop) - np.maximum(before[here], start)
+            step = np.arange(start, stop) + np.repeat(first_step[here] - before[here], times)
+            # a file repeats the dictionary in every row group: it names the trials of this block only
+            names = trial.dictionary[owner[first] : owner[last] + 1]
+            yield pa.record_batch(
+                {
+                    "trial": pa.DictionaryArray.from_arrays(np.repeat(owner[here] - owner[first], times), names),
+                    "step": step.astype(np.int32),
+                    "episodic_return": np.repeat(episodic_return[here], times),
+                },
+                schema.STEPS,
+            )
 
     def without(self, trials: set[str]) -> "ShardTables":
         """Return the tables without the rows of some trials."""
-        kept = [name for name in self.trials["trial"].to_pylist() if name not in trials]
-        tables = [self.trials, self.episodes, self.steps, *([self.evaluations] if self.evaluations is not None else [])]
-        return ShardTables(*(table.filter(pc.is_in(table["trial"], pa.array(kept, pa.string()))) for table in tables))
+        kept = pa.array([name for name in self.trials["trial"].to_pylist() if name not in trials], pa.string())
+        tables = [self.trials, self.episodes, *([self.evaluations] if self.evaluations is not None else [])]
+        return ShardTables(*(table.filter(pc.is_in(table["trial"], kept)) for table in tables))
 
 
 def shard_tables(trials: Sequence[Trial], records: EpisodeColumns, wall_seconds: float, provenance: Provenance) -> ShardTables:
-    """Return the tables of trials that were trained together, agent p of the records being trial p."""
+    """Return the tables of trials that were trained together, agent p of the records being trial p.
+
+    Raises ValueError when the episodes do not fill the trials' steps.
+    """
+    if records.length.sum() != len(trials) * records.steps:
+        raise ValueError(
+            f"the episodes have {records.length.sum():,} steps: {len(trials):,} trials of {records.steps:,} were trained"
+        )
     ids = [trial.id for trial in trials]
     episodes = {
         "trial": pa.DictionaryArray.from_arrays(pa.array(records.agent, pa.int32()), pa.array(ids, pa.string())),
@@ -67,13 +105,6 @@ def shard_tables(trials: Sequence[Trial], records: EpisodeColumns, wall_seconds:
         "length": records.length,
         "episodic_return": records.episodic_return,
         "ending": pa.DictionaryArray.from_arrays(pa.array(records.ending, pa.int32()), pa.array(schema.ENDINGS)),
-    }
-    steps = {
-        "trial": pa.DictionaryArray.from_arrays(
-            pa.array(np.repeat(records.agent, records.length), pa.int32()), pa.array(ids, pa.string())
-        ),
-        "step": np.tile(np.arange(1, records.steps + 1, dtype=np.int32), len(trials)),
-        "episodic_return": np.repeat(records.episodic_return, records.length),
     }
     rows = [
         {
@@ -89,7 +120,6 @@ def shard_tables(trials: Sequence[Trial], records: EpisodeColumns, wall_seconds:
     return ShardTables(
         trials=pa.Table.from_pylist(rows, schema.with_hypers(schema.TRIALS, trials[0].applicable_hypers)),
         episodes=pa.table(episodes, schema.EPISODES),
-        steps=pa.table(steps, schema.STEPS),
         evaluations=_evaluations_table(ids, getattr(records, "evaluations", None)),
     )
 

@@ -1,5 +1,8 @@
 import multiprocessing
 import os
+import subprocess
+import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,6 +15,8 @@ from sweep.provenance import Provenance
 from sweep.store import Store
 from sweep.tables import shard_tables
 from sweep.trials import Trial
+
+ROOT = Path(__file__).parent.parent.parent
 
 
 def tables(seeds, steps=1000, length=100):
@@ -47,7 +52,7 @@ def test_what_is_committed_can_be_read_back_and_is_finished(tmp_path):
     assert store.commit("shard-1", committed) == 2
     assert store.finished_trials() == set(committed.trials["trial"].to_pylist())
     assert rows(store, "episodes") == committed.episodes.to_pylist()
-    assert rows(store, "steps") == committed.steps.to_pylist()
+    assert rows(store, "steps") == [row for block in committed.steps_in_blocks(100) for row in block.to_pylist()]
     assert [row["trial"] for row in rows(store, "trials")] == committed.trials["trial"].to_pylist()
     assert not list((tmp_path / "store" / ".staging").iterdir())
 
@@ -75,7 +80,7 @@ def test_processes_that_commit_the_same_trials_at_once_leave_each_exactly_once(t
     assert sorted(row["seed"] for row in rows(Store(tmp_path), "trials")) == [0, 1, 2, 3, 4]
 
 
-@pytest.mark.parametrize("fault", ["write", "fsync", "rename"])
+@pytest.mark.parametrize("fault", ["write", "write of steps", "fsync", "rename"])
 def test_a_commit_that_fails_leaves_nothing_visible_and_can_be_repeated(tmp_path, monkeypatch, fault):
     store = Store.create(tmp_path)
     with monkeypatch.context() as patch:
@@ -86,6 +91,8 @@ def test_a_commit_that_fails_leaves_nothing_visible_and_can_be_repeated(tmp_path
         match fault:
             case "write":
                 patch.setattr("sweep.store.pq.write_table", fail)
+            case "write of steps":
+                patch.setattr("sweep.store.pq.ParquetWriter.write_batch", fail)
             case "fsync":
                 patch.setattr(os, "fsync", fail)
             case "rename":
@@ -133,6 +140,39 @@ def test_steps_cost_about_as_much_as_the_episodes(tmp_path):
     assert "RLE_DICTIONARY" in columns["episodic_return"]
     episodes = file.parent / "episodes.parquet"
     print(f"steps {file.stat().st_size / 16:.0f} bytes a trial, episodes {episodes.stat().st_size / 16:.0f}")
+
+
+def test_row_groups_of_steps_hold_100_000_rows_whether_trials_are_long_or_short(tmp_path):
+    store = Store.create(tmp_path)
+    store.commit("long", tables([0], steps=250_000, length=1000))
+    store.commit("short", tables(range(1, 251), steps=1000))
+    for shard in ("long", "short"):
+        metadata = pq.ParquetFile(tmp_path / "shards" / shard / "steps.parquet").metadata
+        assert [metadata.row_group(i).num_rows for i in range(metadata.num_row_groups)] == [100_000, 100_000, 50_000]
+
+
+MEMORY = """
+import resource, sys
+from sweep.store import Store
+from test_store import tables
+
+store = Store.create(sys.argv[1])
+store.commit("small", tables([0], steps=100_000, length=1000))
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+large = tables(range(256), steps=100_000, length=1000)
+assert store.commit("large", large) == 255
+print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) // 1024)
+"""
+
+
+def test_memory_does_not_grow_with_the_steps_that_are_committed(tmp_path):
+    """25.6 million rows, 300 MB, written twice because one of the trials is there already."""
+    path = os.pathsep.join([str(ROOT), str(Path(__file__).parent)])
+    command = [sys.executable, "-c", MEMORY, str(tmp_path / "store")]
+    ran = subprocess.run(command, env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True, timeout=300)
+    assert ran.returncode == 0, ran.stderr
+    assert int(ran.stdout) < 100
+    assert pq.ParquetFile(tmp_path / "store" / "shards" / "large" / "steps.parquet").metadata.num_rows == 25_500_000
 
 
 def test_writing_the_same_study_again_touches_no_file(tmp_path):

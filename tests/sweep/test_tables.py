@@ -66,13 +66,51 @@ def test_a_shard_becomes_one_row_a_trial_an_episode_and_a_step():
     assert tables.trials["wall_seconds"].to_pylist() == [2.0, 2.0]
     assert tables.trials["hidden_layers"].to_pylist() == [[64, 64]] * 2
     assert tables.episodes["ending"].to_pylist() == ["terminated", "budget", "truncated"]
-    assert tables.steps["step"].to_pylist() == [1, 2, 3, 4, 5] * 2
-    assert tables.steps["episodic_return"].to_pylist() == [1, 1, 2, 2, 2, 3, 3, 3, 3, 3]
-    assert tables.steps["trial"].to_pylist() == [trials[0].id] * 5 + [trials[1].id] * 5
+    (steps,) = tables.steps_in_blocks(10)
+    assert steps["step"].to_pylist() == [1, 2, 3, 4, 5] * 2
+    assert steps["episodic_return"].to_pylist() == [1, 1, 2, 2, 2, 3, 3, 3, 3, 3]
+    assert steps["trial"].to_pylist() == [trials[0].id] * 5 + [trials[1].id] * 5
     rest = tables.without({trials[0].id})
     assert rest.trials["seed"].to_pylist() == [1]
     assert rest.episodes.num_rows == 1
-    assert rest.steps.num_rows == 5
+    (steps,) = rest.steps_in_blocks(10)
+    assert steps["trial"].to_pylist() == [trials[1].id] * 5
+
+
+@pytest.mark.parametrize("rows", range(1, 14))
+def test_steps_are_the_same_rows_whatever_the_size_of_the_blocks(rows):
+    trials = [Trial("SAC", "Pendulum-CA", SACHypers(), seed, 4, 1000, 0.99) for seed in (0, 1, 2)]
+    tables = shard_tables(trials, records([(1, 1, 0), (3, 2, 0)], [(4, 3, 1)], [(2, 4, 0), (2, 5, 2)]), 4.0, PROVENANCE)
+    for gone, returns in (((), [1, 2, 2, 2, 3, 3, 3, 3, 4, 4, 5, 5]), ((1,), [1, 2, 2, 2, 4, 4, 5, 5]), ((0, 1, 2), [])):
+        left = tables.without({trials[seed].id for seed in gone})
+        blocks = list(left.steps_in_blocks(rows))
+        full, rest = divmod(len(returns), rows)
+        assert [block.num_rows for block in blocks] == [rows] * full + [rest] * (rest > 0)
+        kept = [trial.id for seed, trial in enumerate(trials) if seed not in gone]
+        assert [(row["trial"], row["step"], row["episodic_return"]) for block in blocks for row in block.to_pylist()] == list(
+            zip(np.repeat(kept, 4), [1, 2, 3, 4] * len(kept), returns, strict=True)
+        )
+
+
+def test_a_block_of_steps_carries_the_names_of_its_own_trials_only():
+    trials = [Trial("SAC", "Pendulum-CA", SACHypers(), seed, 4, 1000, 0.99) for seed in (0, 1, 2)]
+    tables = shard_tables(trials, records([(4, 1, 0)], [(4, 3, 1)], [(4, 5, 2)]), 4.0, PROVENANCE)
+    names = [block["trial"].dictionary.to_pylist() for block in tables.steps_in_blocks(6)]
+    assert names == [[trials[0].id, trials[1].id], [trials[1].id, trials[2].id]]
+
+
+def test_a_diverged_return_is_nan_in_the_steps_and_never_null():
+    trials = [Trial("SAC", "Pendulum-CA", SACHypers(), 0, 4, 1000, 0.99)]
+    (steps,) = shard_tables(trials, records([(2, 1, 0), (2, np.nan, 2)]), 4.0, PROVENANCE).steps_in_blocks(100)
+    assert np.isnan(steps["episodic_return"].to_pylist()[2:]).all()
+    assert steps["episodic_return"].null_count == 0
+
+
+def test_episodes_that_do_not_fill_the_steps_of_their_trials_are_refused():
+    short = records([(2, 1, 0), (3, 2, 2)], [(4, 3, 1)])
+    trials = [Trial("SAC", "Pendulum-CA", SACHypers(), seed, 5, 1000, 0.99) for seed in (0, 1)]
+    with pytest.raises(ValueError, match="the episodes have 9 steps: 2 trials of 5 were trained"):
+        shard_tables(trials, short, 4.0, PROVENANCE)
 
 
 def test_a_hyperparameter_of_different_types_in_different_agents_becomes_a_text():
