@@ -5,7 +5,8 @@ import math
 from torch import Tensor
 
 from agents.algorithm import Task
-from agents.networks import Activations, PopulationMLP
+from agents.kernels.arithmetic import Activations
+from agents.networks import PopulationMLP
 from agents.optimizer import PopulationAdam
 from agents.policies import Gaussian, Softmax
 from agents.population import Population
@@ -34,8 +35,7 @@ class Actor:
 
     def descend(self, kept: Activations, of_outputs: Tensor) -> None:
         """Take a step of Adam along ∂L/∂outputs, L a sum over the population."""
-        self.network.backward(kept, of_outputs)
-        self.optimizer.step_(self.network.gradient)
+        self.network.descend(kept, of_outputs, self.optimizer)
 
     def noise(self, purpose: Purpose, step: int, *shape: int) -> Tensor:
         """Return standard normal numbers [P, *shape] for this step."""

@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from agents.algorithm import Task
-from agents.networks import Activations, PopulationMLP, polyak_average_
+from agents.kernels.arithmetic import Activations
+from agents.networks import PopulationMLP, polyak_average_
 from agents.optimizer import PopulationAdam
 from agents.population import Population
 from agents.replay import Batch
@@ -65,8 +66,7 @@ class Critic:
         values, kept = self.online.forward_for_gradient(self._each(pairs))
         errors = values - self._each(targets)
         # the mean of the squared error, not of its half as the thesis prints: with Adam the factor cancels but for ε
-        self.online.backward(kept, errors * (2 / B))
-        self.optimizer.step_(self.online.gradient)
+        self.online.descend(kept, errors * (2 / B), self.optimizer)
         return errors.square().view(-1, self.count * B).mean(dim=1) * self.count
 
     def update_target(self) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from agents.networks import Activations, PopulationMLP
+from agents.networks import PopulationMLP
 
 
 def differentiable(network: PopulationMLP, inputs: Tensor, *, parameters: bool = True) -> Tensor:
@@ -39,15 +39,16 @@ class _Forward(torch.autograd.Function):
     def forward(context: Any, inputs: Tensor, parameters: Tensor, network: PopulationMLP) -> Tensor:
         outputs, kept = network.forward_for_gradient(inputs.detach())
         context.network = network
-        context.save_for_backward(*(x.clone() for x in kept.inputs))  # the network's own buffers serve the next pass
+        context.kept = kept.clone()  # the network's own buffers serve the next pass
         return outputs.clone()
 
     @staticmethod
     def backward(context: Any, *output_gradients: Tensor) -> Any:
         (output_gradient,) = output_gradients
-        kept = Activations(context.saved_tensors)
         of_inputs, of_parameters = context.needs_input_grad[:2]
-        inputs_gradient = context.network.backward(kept, output_gradient.contiguous(), parameters=of_parameters, inputs=of_inputs)
+        inputs_gradient = context.network.backward(
+            context.kept, output_gradient.contiguous(), parameters=of_parameters, inputs=of_inputs
+        )
         return (
             inputs_gradient.clone() if of_inputs else None,
             context.network.gradient.clone() if of_parameters else None,

@@ -8,6 +8,8 @@ import math
 import torch
 from torch import Tensor
 
+from agents import kernels
+
 _DECAY_1, _DECAY_2, _EPSILON = 0.9, 0.999, 1e-8
 
 
@@ -15,22 +17,34 @@ class PopulationAdam:
     """Adam's moments of P agents; `step_` descends along a gradient."""
 
     def __init__(self, parameters: Tensor, step_sizes: Tensor) -> None:
-        """Take parameters [P, n], updated in place, and step-sizes [P]."""
+        """Take parameters [P, n] (dense), updated in place, and step-sizes [P]."""
         self.parameters = parameters
-        self.step_sizes = step_sizes[:, None]
+        self.step_sizes = step_sizes[:, None].contiguous()
         self.first_moment = torch.zeros_like(parameters)
         self.second_moment = torch.zeros_like(parameters)
         self.num_steps = 0
-        self._scratch = torch.empty_like(parameters)
-        self._update = torch.empty_like(parameters)
+        self._native = kernels.library(parameters.device.type)
+        self._scratch: tuple[Tensor, Tensor] | None = None
+
+    def next_corrections(self) -> tuple[float, float]:
+        """Count a step and return its bias corrections, 1 − 0.9^t and 1/√(1 − 0.999^t): for kernels that take the step."""
+        self.num_steps += 1
+        return 1 - _DECAY_1**self.num_steps, 1 / math.sqrt(1 - _DECAY_2**self.num_steps)
 
     def step_(self, gradient: Tensor) -> None:
         """Update the parameters with ∂L/∂parameters [P, n]."""
-        self.num_steps += 1
+        correction_1, correction_2 = self.next_corrections()
+        if self._native is not None:
+            P, n = self.parameters.shape
+            pointers = (self.parameters, gradient.contiguous(), self.first_moment, self.second_moment, self.step_sizes)
+            self._native.adam(P, n, *(x.data_ptr() for x in pointers), correction_1, correction_2)
+            return
+        if self._scratch is None:
+            self._scratch = torch.empty_like(self.parameters), torch.empty_like(self.parameters)
+        scratch, update = self._scratch
         self.first_moment.mul_(_DECAY_1).add_(gradient, alpha=1 - _DECAY_1)
-        torch.mul(gradient, gradient, out=self._scratch)
-        self.second_moment.mul_(_DECAY_2).add_(self._scratch, alpha=1 - _DECAY_2)
-        corrected = 1 / math.sqrt(1 - _DECAY_2**self.num_steps)
-        torch.sqrt(self.second_moment, out=self._scratch).mul_(corrected).add_(_EPSILON)
-        torch.div(self.first_moment, self._scratch, out=self._update)
-        self.parameters.sub_(self._update.mul_(self.step_sizes / (1 - _DECAY_1**self.num_steps)))
+        torch.mul(gradient, gradient, out=scratch)
+        self.second_moment.mul_(_DECAY_2).add_(scratch, alpha=1 - _DECAY_2)
+        torch.sqrt(self.second_moment, out=scratch).mul_(correction_2).add_(_EPSILON)
+        torch.div(self.first_moment, scratch, out=update)
+        self.parameters.sub_(update.mul_(self.step_sizes / correction_1))

@@ -8,7 +8,9 @@ Symbols: m and ℓ the two heads' outputs, μ the mean, σ the standard deviatio
 ln σ = clamp(ℓ, ±ln 1000), with gradient zero where ℓ is outside.
 """
 
+import functools
 import math
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -30,32 +32,33 @@ class Gaussian:
     def __init__(self, space: Continuous, outputs: Tensor) -> None:
         """Condition on outputs [P, B, 2A] of an actor network."""
         A = space.size
-        self._low, self._high = _bounds(space, outputs.device)
+        self._bounds = _bounds(space, outputs.device)
         self._tanh = torch.tanh(outputs[..., :A])
-        self._half_range = (self._high - self._low) / 2
-        self.mean = (self._tanh + 1).mul_(self._half_range).add_(self._low)
-        self.log_std, self._inside = _clamped_log_std(outputs[..., A:])
+        self._raw_log_std = outputs[..., A:]
+        self.mean = torch.addcmul(self._bounds.middle, self._tanh, self._bounds.half_range)
+        self.log_std = _clamped_log_std(self._raw_log_std)
         self.std = torch.exp(self.log_std)
 
     def sample(self, noise: Tensor) -> Tensor:
         """Return actions [P, B, N, A] within the bounds for standard normal noise of that shape."""
-        return torch.clamp(self.sample_unclamped(noise), self._low, self._high)
+        return self._bounds.clamp_(self.sample_unclamped(noise))
 
     def sample_unclamped(self, noise: Tensor) -> Tensor:
         """Return samples [P, B, N, A] of the normal distribution itself, which may lie outside the action range."""
-        return (noise * self.std.unsqueeze(2)).add_(self.mean.unsqueeze(2))
+        return torch.addcmul(self.mean.unsqueeze(2), noise, self.std.unsqueeze(2))
 
     def log_prob(self, actions: Tensor) -> Tensor:
         """Return ln π [P, B, N] of actions [P, B, N, A]."""
         u = (actions - self.mean.unsqueeze(2)).div_(self.std.unsqueeze(2))
         return (u.square_().mul_(-0.5) - self.log_std.unsqueeze(2)).sub_(_HALF_LOG_2_PI).sum(-1)
 
-    def log_prob_gradient(self, actions: Tensor, weights: Tensor) -> Tensor:
-        """Return ∂/∂outputs of Σ_n w_n ln π(a_n) [P, B, 2A], for actions [P, B, N, A] and constant weights [P, B, N] (or 1)."""
+    def log_prob_gradient(self, actions: Tensor, weights: Tensor | float) -> Tensor:
+        """Return ∂/∂outputs of Σ_n w_n ln π(a_n) [P, B, 2A], for actions [P, B, N, A] and constant weights [P, B, N] (or one)."""
         u = (actions - self.mean.unsqueeze(2)).div_(self.std.unsqueeze(2))
-        weights = weights.unsqueeze(-1)
-        of_mean = (u * weights).sum(2).div_(self.std)
-        of_log_std = (u.square_().sub_(1).mul_(weights)).sum(2)
+        weights = weights.unsqueeze(-1) if isinstance(weights, Tensor) else weights
+        weighted = u * weights
+        of_mean = weighted.sum(2).div_(self.std)
+        of_log_std = (weighted.mul_(u).sub_(weights)).sum(2)
         return self._of_outputs(of_mean, of_log_std)
 
     def entropy_gradient(self, estimate: str, noise: Tensor) -> Tensor:
@@ -67,13 +70,13 @@ class Gaussian:
         if estimate == "analytic":
             return self._of_outputs(torch.zeros_like(self.mean), torch.ones_like(self.std))
         if estimate == "score":
-            return self.log_prob_gradient(self.sample(noise), torch.full((1, 1, 1), -1.0, device=noise.device))
+            return self.log_prob_gradient(self.sample(noise), -1.0)
         action = self.sample_unclamped(noise)
         return self.log_prob_gradient(action, -self.log_prob(action))
 
     def _of_outputs(self, of_mean: Tensor, of_log_std: Tensor) -> Tensor:
-        slope = (1 - self._tanh.square()).mul_(self._half_range)
-        return torch.cat([of_mean * slope, of_log_std * self._inside], dim=-1)
+        slope = self._bounds.half_range - self._tanh.square().mul_(self._bounds.half_range)
+        return torch.cat([of_mean * slope, of_log_std * _inside(self._raw_log_std)], dim=-1)
 
 
 class SquashedGaussian:
@@ -85,15 +88,15 @@ class SquashedGaussian:
     def __init__(self, space: Continuous, outputs: Tensor) -> None:
         """Condition on outputs [P, B, 2A] of an actor network."""
         A = space.size
-        low, high = _bounds(space, outputs.device)
-        self._scale, self._bias = (high - low) / 2, (high + low) / 2
-        self.mean = outputs[..., :A]
-        self.log_std, self._inside = _clamped_log_std(outputs[..., A:])
+        bounds = _bounds(space, outputs.device)
+        self._scale, self._bias = bounds.half_range, bounds.middle
+        self.mean, self._raw_log_std = outputs[..., :A], outputs[..., A:]
+        self.log_std = _clamped_log_std(self._raw_log_std)
         self.std = torch.exp(self.log_std)
 
     def mode(self) -> Tensor:
         """Return the deterministic action [P, B, A]: the squashed mean."""
-        return torch.tanh(self.mean) * self._scale + self._bias
+        return torch.addcmul(self._bias, torch.tanh(self.mean), self._scale)
 
     def sample(self, noise: Tensor) -> "SquashedSample":
         """Return the sample at standard normal noise [P, B, A]."""
@@ -105,11 +108,11 @@ class SquashedSample:
 
     def __init__(self, policy: SquashedGaussian, noise: Tensor) -> None:
         self._policy, self._noise = policy, noise
-        self._tanh = torch.tanh(policy.mean + policy.std * noise)
-        self._slope = (1 - self._tanh.square()).mul_(policy._scale)  # ∂a/∂x
-        self.actions = self._tanh * policy._scale + policy._bias
-        log_normal = -0.5 * noise.square() - policy.log_std - _HALF_LOG_2_PI
-        self.log_prob = (log_normal - torch.log(self._slope + _SQUASH_EPSILON)).sum(-1, keepdim=True)
+        self._tanh = torch.addcmul(policy.mean, policy.std, noise).tanh_()
+        self._slope = policy._scale - self._tanh.square().mul_(policy._scale)  # ∂a/∂x
+        self.actions = torch.addcmul(policy._bias, self._tanh, policy._scale)
+        log_normal = noise.square().mul_(-0.5).sub_(policy.log_std).sub_(_HALF_LOG_2_PI)
+        self.log_prob = log_normal.sub_(torch.log(self._slope + _SQUASH_EPSILON)).sum(-1, keepdim=True)
 
     def gradient(self, of_actions: Tensor, of_log_prob: Tensor) -> Tensor:
         """Return ∂L/∂outputs [P, B, 2A] from ∂L/∂actions [P, B, A] and ∂L/∂ln π [P, B, 1], the noise held fixed."""
@@ -117,7 +120,7 @@ class SquashedSample:
         log_prob_slope = 2 * self._tanh * self._slope / (self._slope + _SQUASH_EPSILON)  # ∂ ln π/∂x
         of_x = of_actions * self._slope + of_log_prob * log_prob_slope
         of_log_std = of_x * policy.std * self._noise - of_log_prob
-        return torch.cat([of_x, of_log_std * policy._inside], dim=-1)
+        return torch.cat([of_x, of_log_std * _inside(policy._raw_log_std)], dim=-1)
 
 
 class Deterministic:
@@ -125,14 +128,14 @@ class Deterministic:
 
     def __init__(self, space: Continuous, outputs: Tensor) -> None:
         """Condition on outputs z [P, B, A] of an actor network."""
-        self._low, self._high = _bounds(space, outputs.device)
-        self._scale = (self._high - self._low) / 2
+        self._bounds = _bounds(space, outputs.device)
+        self._scale = self._bounds.half_range
         self._tanh = torch.tanh(outputs)
-        self.actions = self._tanh * self._scale + (self._high + self._low) / 2
+        self.actions = torch.addcmul(self._bounds.middle, self._tanh, self._scale)
 
     def perturbed(self, noise: Tensor) -> Tensor:
         """Return the actions with noise [P, B, A] in units of half the range added, clipped to the range."""
-        return torch.clamp(self.actions + noise * self._scale, self._low, self._high)
+        return self._bounds.clamp_(torch.addcmul(self.actions, noise, self._scale))
 
     def gradient(self, of_actions: Tensor) -> Tensor:
         """Return ∂L/∂outputs [P, B, A] from ∂L/∂actions [P, B, A]."""
@@ -173,9 +176,31 @@ class Softmax:
         return self.probs * (values - (self.probs * values).sum(dim=-1, keepdim=True))
 
 
-def _clamped_log_std(raw: Tensor) -> tuple[Tensor, Tensor]:
-    return raw.clamp(-_LOG_STD_LIMIT, _LOG_STD_LIMIT), (raw.abs() <= _LOG_STD_LIMIT)
+def _clamped_log_std(raw: Tensor) -> Tensor:
+    return raw.clamp(-_LOG_STD_LIMIT, _LOG_STD_LIMIT)
 
 
-def _bounds(space: Continuous, device: torch.device) -> tuple[Tensor, Tensor]:
-    return torch.tensor(space.low, device=device), torch.tensor(space.high, device=device)
+def _inside(raw_log_std: Tensor) -> Tensor:
+    return raw_log_std.abs() <= _LOG_STD_LIMIT
+
+
+@dataclass(frozen=True)
+class _Bounds:
+    """The action range of a space: [A] each, and as one number where it is the same in all dimensions."""
+
+    low: Tensor
+    high: Tensor
+    middle: Tensor
+    half_range: Tensor
+    ends: tuple[float, float] | None
+
+    def clamp_(self, actions: Tensor) -> Tensor:
+        """Clamp actions [..., A] to the range in place; with numbers that is twice as fast as with tensors."""
+        return actions.clamp_(*self.ends) if self.ends else torch.clamp(actions, self.low, self.high, out=actions)
+
+
+@functools.cache
+def _bounds(space: Continuous, device: torch.device) -> _Bounds:
+    low, high = torch.tensor(space.low, device=device), torch.tensor(space.high, device=device)
+    ends = (space.low[0], space.high[0]) if len(set(space.low)) == len(set(space.high)) == 1 else None
+    return _Bounds(low, high, (high + low) / 2, (high - low) / 2, ends)

@@ -32,7 +32,6 @@ class Replay:
         self.width = 2 * state_size + action_size + 2
         self.rows = torch.zeros(population, capacity, self.width, device=device)
         self.num_added = 0
-        self._first_row = torch.arange(population, device=device)[:, None] * capacity
 
     def add(self, states: Tensor, actions: Tensor, rewards: Tensor, terminated: Tensor, next_states: Tensor) -> None:
         """Add one transition an agent: [P, S], [P, A], [P], [P] (bool), [P, S]; the oldest gives way when full."""
@@ -48,7 +47,7 @@ class Replay:
     def sample(self, stream: RandomStream, step: int, batch_size: int) -> Batch:
         """Draw `batch_size` transitions an agent, uniformly with replacement."""
         size = min(self.num_added, self.capacity)
-        indices = stream.integers(Purpose.MINIBATCH, step, batch_size, size) + self._first_row
+        indices = stream.integers(Purpose.MINIBATCH, step, batch_size, size, offset=self.capacity)
         rows = self.rows.view(-1, self.width).index_select(0, indices.view(-1)).view(*indices.shape, self.width)
         S, A = self.state_size, self.action_size
         return Batch(

@@ -8,10 +8,13 @@ Numbers come in groups of 64: group g holds the four words of the 16 counters 16
 """
 
 import math
+from collections.abc import Callable
 from enum import IntEnum
 
 import torch
 from torch import Tensor
+
+from agents import kernels
 
 _LANES = 16
 _WORD = 0xFFFFFFFF
@@ -51,13 +54,15 @@ def philox(key: Tensor, counter: tuple[Tensor, Tensor, Tensor, Tensor]) -> tuple
 class RandomStream:
     """The random streams of P agents.
 
-    Drawing is stateless: the same (purpose, step, shape) gives the same numbers again. Blocks of consecutive steps are
-    computed at once and kept, because training asks for one step after another.
+    Drawing is stateless: the same (purpose, step, shape) gives the same numbers again. The native kernels draw a step at a time;
+    PyTorch computes blocks of consecutive steps at once and keeps them, because training asks for one step after another. Words,
+    uniform numbers and integers are the same in both; normal ones differ by rounding.
     """
 
     def __init__(self, seeds: Tensor) -> None:
         """Take the agents' seeds [P] (int64, ≥ 0)."""
-        self.seeds = seeds
+        self.seeds = seeds.contiguous()
+        self._native = kernels.library(seeds.device.type)
         self._blocks: dict[tuple[str, int, int], tuple[int, Tensor]] = {}
 
     def words(self, purpose: int, first_step: int, num_steps: int, count: int) -> Tensor:
@@ -74,15 +79,29 @@ class RandomStream:
 
     def uniforms(self, purpose: int, step: int, count: int) -> Tensor:
         """Return float32 [P, count], uniform on the open interval (0, 1), 2^24 equally spaced values."""
+        if self._native is not None:
+            return self._drawn(self._native.uniforms, purpose, step, count)
         return self._at(step, "uniform", purpose, count)
 
     def normals(self, purpose: int, step: int, count: int) -> Tensor:
         """Return float32 [P, count], standard normal (Box–Muller on pairs of words)."""
+        if self._native is not None:
+            return self._drawn(self._native.normals, purpose, step, count)
         return self._at(step, "normal", purpose, count)
 
-    def integers(self, purpose: int, step: int, count: int, high: int) -> Tensor:
-        """Return int64 [P, count], uniform on 0 … high − 1 (multiply-shift; bias below high / 2^32)."""
-        return (self._at(step, "word", purpose, count) * high) >> 32
+    def integers(self, purpose: int, step: int, count: int, high: int, offset: int = 0) -> Tensor:
+        """Return int64 [P, count], uniform on 0 … high − 1 (multiply-shift; bias below high / 2^32); plus p · offset, agent p."""
+        if self._native is not None:
+            P, out = len(self.seeds), torch.empty(len(self.seeds), count, dtype=torch.int64)
+            self._native.integers(P, self.seeds.data_ptr(), purpose, step, count, high, offset, out.data_ptr())
+            return out
+        drawn = (self._at(step, "word", purpose, count) * high) >> 32
+        return drawn + torch.arange(0, len(self.seeds) * offset, offset, device=drawn.device)[:, None] if offset else drawn
+
+    def _drawn(self, kernel: Callable[..., None], purpose: int, step: int, count: int) -> Tensor:
+        out = torch.empty(len(self.seeds), count)
+        kernel(len(self.seeds), self.seeds.data_ptr(), purpose, step, count, out.data_ptr())
+        return out
 
     def _at(self, step: int, kind: str, purpose: int, count: int) -> Tensor:
         first, block = self._blocks.get((kind, purpose, count), (-1, None))

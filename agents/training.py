@@ -10,6 +10,7 @@ from torch import Tensor
 from agents.algorithm import Task
 from agents.evaluation import Evaluation, Evaluator
 from agents.hypers import Hypers
+from agents.memory import keep_freed_memory
 from agents.population import padded
 from agents.records import Recorder, Records
 from agents.registry import find_algorithm, find_environment
@@ -55,6 +56,7 @@ def train(
         raise ValueError(
             f"{algorithm} acts in {' and '.join(entry.actions)} action spaces only; {environment} is {known.actions}"
         )
+    keep_freed_memory()
     population = padded(hypers, seeds, torch.device(device))
     world = known.make(len(population))
     stream = population.stream()

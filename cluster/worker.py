@@ -66,13 +66,13 @@ def _train_and_commit(work: Work, on_progress: Callable[[], None] | None) -> Rec
 def _train_population(work: Work, on_step: Callable[[int], None]) -> tuple[EpisodeColumns, Provenance]:
     import torch
 
+    from agents import kernels
     from agents.evaluation import Evaluation
-    from agents.networks import ENGINE
     from agents.training import train
 
     torch.set_num_threads(work.threads)
     device = ("cuda" if torch.cuda.is_available() else "cpu") if work.device == "auto" else work.device
-    origin = provenance.of_this_process(device, ENGINE)  # before the training: the code may change meanwhile
+    origin = provenance.of_this_process(device, kernels.engine_name(device))  # before the training: the code may change meanwhile
     trials, first = work.shard.trials, work.shard.trials[0]
     records = train(
         first.agent,

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from agents.actor import Actor
 from agents.critic import Critic
+from agents.elites import best_actions
 from agents.hypers import GreedyACHypers
 from agents.policies import Gaussian
 from agents.rng import Purpose
@@ -23,8 +24,7 @@ class CCEM:
 
     def __init__(self, hypers: GreedyACHypers, space: Continuous, actor: Actor, proposal: Actor, entropy_scale: Tensor) -> None:
         self.hypers, self.space, self.actor, self.proposal, self.entropy_scale = hypers, space, actor, proposal, entropy_scale
-        weight = 1 / hypers.num_elites if hypers.elite_reduction == "mean" else 1.0
-        self.elite_weight = torch.full((1, 1, 1), weight, device=entropy_scale.device)
+        self.elite_weight = 1 / hypers.num_elites if hypers.elite_reduction == "mean" else 1.0
 
     def update(self, critic: Critic, states: Tensor, step: int) -> None:
         """Take a step with both policies on states [P, B, S] (lines 5–14)."""
@@ -36,8 +36,7 @@ class CCEM:
         noise = self.proposal.noise(Purpose.POLICY_UPDATE, step, B, N, self.space.size)
         actions = proposal.sample(noise)  # line 6
         values = critic.values_of_actions(states, actions)  # line 7
-        best = values.topk(self.hypers.num_elites, dim=2).indices  # lines 8–10
-        elites = actions.gather(2, best.unsqueeze(-1).expand(-1, -1, -1, self.space.size))
+        elites = best_actions(values, actions, self.hypers.num_elites)  # lines 8–10
 
         ascent = proposal.log_prob_gradient(elites, self.elite_weight)
         # the entropy's action is any of the N: the first, as they are independent and alike

@@ -69,5 +69,4 @@ class DDPG:
         policy = Deterministic(self.space, outputs)
         valuation = self.critic.evaluate(states, policy.actions)
         of_actions = valuation.action_gradient(torch.full_like(valuation.values, -1 / states.shape[1]))
-        self.actor.backward(kept, policy.gradient(of_actions))
-        self.actor_optimizer.step_(self.actor.gradient)
+        self.actor.descend(kept, policy.gradient(of_actions), self.actor_optimizer)

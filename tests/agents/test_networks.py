@@ -1,3 +1,4 @@
+import itertools
 import math
 
 import pytest
@@ -14,7 +15,8 @@ def network_and_twins(inputs, hidden, heads, seed=0):
     generator = torch.Generator().manual_seed(seed)
     network = PopulationMLP(P, inputs, hidden, heads)
     network.initialize_(torch.rand(network.parameters.shape, generator=generator))
-    network.parameters += 0.1 * torch.randn(network.parameters.shape, generator=generator)
+    for part in itertools.chain(*network.layers):
+        part += 0.1 * torch.randn(part.shape, generator=generator)
     twins = []
     for p in range(P):
         layers = []
