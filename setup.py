@@ -4,6 +4,7 @@ Nothing here needs torch or headers of Python. Where there is no C++ compiler, o
 and the pure-torch engine is used; a variant that the compiler does not know is left out.
 """
 
+import logging
 import os
 import platform
 from pathlib import Path
@@ -31,24 +32,24 @@ class BuildKernels(build_ext):
     def build_extension(self, ext: Extension) -> None:
         """Build the library, or say why it is left out."""
         if os.environ.get("SWEEP_NO_NATIVE"):
-            return self.announce("native kernels left out: SWEEP_NO_NATIVE is set", level=3)
+            return self.warn("native kernels left out: SWEEP_NO_NATIVE is set")
         objects, built = [], []
         for variant, flags in VARIANTS.get(platform.machine().lower(), {}).items():
             try:
                 objects += self._compiled("kernel.cpp", variant, [f"-DVARIANT={variant}", *flags])
                 built.append(variant)
             except (CCompilerError, CompileError, ExecError, PlatformError, OSError) as error:
-                self.announce(f"native kernels: variant {variant} left out: {error}", level=3)
+                self.warn(f"native kernels: variant {variant} left out: {error}")
         if not built:
-            return self.announce("native kernels left out: the pure-torch engine will be used", level=3)
+            return self.warn("native kernels left out: the pure-torch engine will be used")
         try:
             objects += self._compiled("dispatch.cpp", "dispatch", [f"-DHAVE_{variant}" for variant in built])
             target = Path(self.get_ext_fullpath(ext.name))
             target.parent.mkdir(parents=True, exist_ok=True)
             self.compiler.link_shared_object(objects, str(target), target_lang="c++")
         except (CCompilerError, CompileError, ExecError, LinkError, PlatformError, OSError) as error:
-            return self.announce(f"native kernels left out: {error}", level=3)
-        return self.announce(f"native kernels built: {', '.join(built)}", level=2)
+            return self.warn(f"native kernels left out: {error}")
+        return self.announce(f"native kernels built: {', '.join(built)}", level=logging.INFO)
 
     def _compiled(self, name: str, folder: str, flags: list[str]) -> list[str]:
         return self.compiler.compile(

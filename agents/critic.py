@@ -93,7 +93,7 @@ class Critic:
         if not self._one_hot:
             return actions
         assert isinstance(self.task.actions, Discrete)
-        return torch.nn.functional.one_hot(actions.squeeze(-1).long(), self.task.actions.count).to(actions.dtype)
+        return (actions == torch.arange(self.task.actions.count, device=actions.device)).to(actions.dtype)
 
 
 class Valuation:

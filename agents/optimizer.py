@@ -24,7 +24,10 @@ class PopulationAdam:
         self.second_moment = torch.zeros_like(parameters)
         self.num_steps = 0
         self._native = kernels.library(parameters.device.type)
-        self._scratch: tuple[Tensor, Tensor] | None = None
+        if self._native is None:  # the count is kept where the parameters are: a step may be captured in a CUDA graph
+            self._decays = torch.tensor([_DECAY_1, _DECAY_2], dtype=torch.float64, device=parameters.device)
+            self._powers = torch.ones_like(self._decays)
+            self._scratch, self._update = torch.empty_like(parameters), torch.empty_like(parameters)
 
     def next_corrections(self) -> tuple[float, float]:
         """Count a step and return its bias corrections, 1 − 0.9^t and 1/√(1 − 0.999^t): for kernels that take the step."""
@@ -33,18 +36,15 @@ class PopulationAdam:
 
     def step_(self, gradient: Tensor) -> None:
         """Update the parameters with ∂L/∂parameters [P, n]."""
-        correction_1, correction_2 = self.next_corrections()
         if self._native is not None:
             P, n = self.parameters.shape
             pointers = (self.parameters, gradient.contiguous(), self.first_moment, self.second_moment, self.step_sizes)
-            self._native.adam(P, n, *(x.data_ptr() for x in pointers), correction_1, correction_2)
+            self._native.adam(P, n, *(x.data_ptr() for x in pointers), *self.next_corrections())
             return
-        if self._scratch is None:
-            self._scratch = torch.empty_like(self.parameters), torch.empty_like(self.parameters)
-        scratch, update = self._scratch
+        correction_1, correction_2 = (1 - self._powers.mul_(self._decays)).unbind()
         self.first_moment.mul_(_DECAY_1).add_(gradient, alpha=1 - _DECAY_1)
-        torch.mul(gradient, gradient, out=scratch)
-        self.second_moment.mul_(_DECAY_2).add_(scratch, alpha=1 - _DECAY_2)
-        torch.sqrt(self.second_moment, out=scratch).mul_(correction_2).add_(_EPSILON)
-        torch.div(self.first_moment, scratch, out=update)
-        self.parameters.sub_(update.mul_(self.step_sizes / correction_1))
+        torch.mul(gradient, gradient, out=self._scratch)
+        self.second_moment.mul_(_DECAY_2).add_(self._scratch, alpha=1 - _DECAY_2)
+        torch.sqrt(self.second_moment, out=self._scratch).mul_(correction_2.rsqrt()).add_(_EPSILON)
+        torch.div(self.first_moment, self._scratch, out=self._update)
+        self.parameters.sub_(self._update.mul_(self.step_sizes / correction_1.float()))

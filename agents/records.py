@@ -6,6 +6,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from agents.clock import Clock
+
 ENDINGS = ("terminated", "truncated", "budget")
 _TERMINATED, _TRUNCATED, _BUDGET = range(3)
 _BLOCK_STEPS = 4096
@@ -49,7 +51,9 @@ class Evaluations:
 class Recorder:
     """Collects rewards step by step and turns them into episodes a block at a time: memory does not grow with the steps."""
 
-    def __init__(self, population: int, device: torch.device) -> None:
+    def __init__(self, population: int, device: torch.device, clock: Clock | None = None) -> None:
+        """With a clock that counts on the device, one step is added for each of its own, at the place that it gives."""
+        self._clock = clock if clock is not None and clock.tensor is not None else None
         self._rewards = torch.zeros(_BLOCK_STEPS, population, dtype=torch.float64, device=device)
         self._endings = torch.zeros(_BLOCK_STEPS, population, dtype=torch.uint8, device=device)
         self._finite = torch.ones(_BLOCK_STEPS, population, dtype=torch.bool, device=device)
@@ -62,12 +66,20 @@ class Recorder:
 
     def add(self, rewards: Tensor, terminated: Tensor, truncated: Tensor, finite: Tensor) -> None:
         """Add one step: rewards [P], how an episode ended with it [P] (bool), and whether the agents' numbers are finite [P]."""
-        i = self._in_block
-        self._rewards[i] = rewards
-        self._endings[i] = terminated + 2 * truncated.to(torch.uint8)
-        self._finite[i] = finite
+        endings = terminated + 2 * truncated.to(torch.uint8)
+        if self._clock is None:
+            i = self._in_block
+            self._rewards[i], self._endings[i], self._finite[i] = rewards, endings, finite
+            self.count()
+            return
+        place = self._clock.place_in(len(self._rewards))
+        for column, now in ((self._rewards, rewards), (self._endings, endings), (self._finite, finite)):
+            column.index_copy_(0, place, now.unsqueeze(0))
+
+    def count(self) -> None:
+        """Note on the host that a step was added; `add` does so itself unless the clock counts on the device."""
         self._in_block += 1
-        if self._in_block == _BLOCK_STEPS:
+        if self._in_block == len(self._rewards):
             self._flush()
 
     def _flush(self) -> None:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from agents.clock import Clock
 from agents.rng import Purpose, RandomStream
 
 
@@ -25,28 +26,41 @@ class Batch:
 
 
 class Replay:
-    """Transitions (S, A, R, continues, S') of P agents: [P, capacity, 2S + A + 2]."""
+    """Transitions (S, A, R, continues, S') of P agents: [P, capacity, 2S + A + 2].
 
-    def __init__(self, population: int, capacity: int, state_size: int, action_size: int, device: torch.device) -> None:
+    With a clock that counts on the device, places in the buffer are read from it; one transition is added a step.
+    """
+
+    def __init__(
+        self,
+        population: int,
+        capacity: int,
+        state_size: int,
+        action_size: int,
+        device: torch.device,
+        clock: Clock | None = None,
+    ) -> None:
         self.capacity, self.state_size, self.action_size = capacity, state_size, action_size
         self.width = 2 * state_size + action_size + 2
         self.rows = torch.zeros(population, capacity, self.width, device=device)
         self.num_added = 0
+        self._clock = clock if clock is not None and clock.tensor is not None else None
 
     def add(self, states: Tensor, actions: Tensor, rewards: Tensor, terminated: Tensor, next_states: Tensor) -> None:
         """Add one transition an agent: [P, S], [P, A], [P], [P] (bool), [P, S]; the oldest gives way when full."""
-        row = self.rows[:, self.num_added % self.capacity]
-        S, A = self.state_size, self.action_size
-        row[:, :S] = states
-        row[:, S : S + A] = actions
-        row[:, S + A] = rewards
-        row[:, S + A + 1] = terminated.logical_not()
-        row[:, S + A + 2 :] = next_states
+        columns = [rewards.float().unsqueeze(1), terminated.logical_not().unsqueeze(1)]
+        row = torch.cat([states, actions, *columns, next_states], dim=1)
+        if self._clock is None:
+            self.rows[:, self.num_added % self.capacity] = row
+        else:
+            self.rows.index_copy_(1, self._clock.place_in(self.capacity), row.unsqueeze(1))
         self.num_added += 1
 
     def sample(self, stream: RandomStream, step: int, batch_size: int) -> Batch:
         """Draw `batch_size` transitions an agent, uniformly with replacement."""
-        size = min(self.num_added, self.capacity)
+        size: int | Tensor = min(self.num_added, self.capacity)
+        if self._clock is not None and self._clock.tensor is not None:
+            size = self._clock.tensor.clamp(max=self.capacity)
         indices = stream.integers(Purpose.MINIBATCH, step, batch_size, size, offset=self.capacity)
         rows = self.rows.view(-1, self.width).index_select(0, indices.view(-1)).view(*indices.shape, self.width)
         S, A = self.state_size, self.action_size

@@ -15,12 +15,14 @@ import torch
 from torch import Tensor
 
 from agents import kernels
+from agents.clock import Clock
 
 _LANES = 16
 _WORD = 0xFFFFFFFF
 _MULTIPLIERS = (0xD2511F53, 0xCD9E8D57)
 _KEY_INCREMENTS = (0x9E3779B9, 0xBB67AE85)
-_BLOCK_ELEMENTS = 1 << 15
+_MOST_STEPS = 64
+_BLOCK_ELEMENTS = {"cpu": 1 << 15, "cuda": 1 << 23}  # what a cache holds; enough to fill a GPU
 
 
 class Purpose(IntEnum):
@@ -64,6 +66,17 @@ class RandomStream:
         self.seeds = seeds.contiguous()
         self._native = kernels.library(seeds.device.type)
         self._blocks: dict[tuple[str, int, int], tuple[int, Tensor]] = {}
+        self._clock: Clock | None = None
+        self._followed: set[tuple[str, int, int]] = set()
+
+    def follow(self, clock: Clock) -> None:
+        """Read numbers for the clock's step at the place that its count on the device gives, if it counts there."""
+        self._clock = clock if clock.tensor is not None else None
+
+    def prepare(self, step: int) -> None:
+        """Make sure that whatever was drawn for the clock's steps before can be drawn for this one without a new block."""
+        for kind, purpose, count in self._followed:
+            self._block(step, kind, purpose, count)
 
     def words(self, purpose: int, first_step: int, num_steps: int, count: int) -> Tensor:
         """Return 32-bit words as int64 [P, num_steps, ⌈count / 64⌉, 4, 16] for `num_steps` steps from `first_step`."""
@@ -89,7 +102,7 @@ class RandomStream:
             return self._drawn(self._native.normals, purpose, step, count)
         return self._at(step, "normal", purpose, count)
 
-    def integers(self, purpose: int, step: int, count: int, high: int, offset: int = 0) -> Tensor:
+    def integers(self, purpose: int, step: int, count: int, high: int | Tensor, offset: int = 0) -> Tensor:
         """Return int64 [P, count], uniform on 0 … high − 1 (multiply-shift; bias below high / 2^32); plus p · offset, agent p."""
         if self._native is not None:
             P, out = len(self.seeds), torch.empty(len(self.seeds), count, dtype=torch.int64)
@@ -104,12 +117,28 @@ class RandomStream:
         return out
 
     def _at(self, step: int, kind: str, purpose: int, count: int) -> Tensor:
-        first, block = self._blocks.get((kind, purpose, count), (-1, None))
-        if block is None or not first <= step < first + block.shape[1]:
-            num_steps = max(1, min(64, _BLOCK_ELEMENTS // (len(self.seeds) * count)))
-            first, block = step, self._draw(kind, purpose, step, num_steps, count)
-            self._blocks[kind, purpose, count] = first, block
+        first, block = self._block(step, kind, purpose, count)
+        if self._clock is not None and self._clock.tensor is not None and step == self._clock.number:
+            self._followed.add((kind, purpose, count))
+            return block.index_select(1, self._clock.tensor % block.shape[1]).squeeze(1)
         return block[:, step - first]
+
+    def _block(self, step: int, kind: str, purpose: int, count: int) -> tuple[int, Tensor]:
+        """Return the first step of the block that holds a step, a multiple of its length, and the block [P, steps, count].
+
+        A block that follows the clock is computed again in its place, where captured steps read it.
+        """
+        first, block = self._blocks.get((kind, purpose, count), (-1, None))
+        if block is not None and first <= step < first + block.shape[1]:
+            return first, block
+        elements = _BLOCK_ELEMENTS.get(self.seeds.device.type, _BLOCK_ELEMENTS["cpu"])
+        num_steps = max(1, min(_MOST_STEPS, elements // (len(self.seeds) * count)))
+        first = step // num_steps * num_steps
+        drawn = self._draw(kind, purpose, first, num_steps, count)
+        followed = (kind, purpose, count) in self._followed
+        block = block.copy_(drawn) if block is not None and followed else drawn.contiguous()
+        self._blocks[kind, purpose, count] = first, block
+        return first, block
 
     def _draw(self, kind: str, purpose: int, first_step: int, num_steps: int, count: int) -> Tensor:
         words = self.words(purpose, first_step, num_steps, count)

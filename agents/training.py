@@ -5,17 +5,21 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 import torch
-from torch import Tensor
 
+from agents import kernels
 from agents.algorithm import Task
+from agents.clock import Clock
+from agents.environment import Environment
 from agents.evaluation import Evaluation, Evaluator
 from agents.hypers import Hypers
+from agents.lockstep import LockStep
 from agents.memory import keep_freed_memory
-from agents.population import padded
+from agents.population import Population, padded
 from agents.records import Recorder, Records
+from agents.registry import Algorithm as AlgorithmEntry
+from agents.registry import Environment as EnvironmentEntry
 from agents.registry import find_algorithm, find_environment
 from agents.replay import Replay
-from agents.spaces import ActionSpace, Discrete
 
 
 def train(
@@ -59,60 +63,53 @@ def train(
     keep_freed_memory()
     population = padded(hypers, seeds, torch.device(device))
     world = known.make(len(population))
-    stream = population.stream()
-    task = Task(world.observation_size, world.actions, discount)
-    batch_size = population.shared.batch_size
-    capacity = min(population.shared.replay_capacity, steps)
     with torch.no_grad(), _denormals_flushed():
-        agents = entry.load()(population, task, stream)
-        replay = Replay(len(population), capacity, task.observation_size, task.actions.size, population.device)
-        recorder = Recorder(len(population), population.device)
-        states = world.start(stream, 0)
-        observations = world.observe(states)
+        lockstep = _make(entry, known, world, population, steps, cutoff, discount)
         evaluator = None
         if evaluation is not None:
-            if not hasattr(agents, "act_deterministically"):
+            if not hasattr(lockstep.agents, "act_deterministically"):
                 raise ValueError(f"{algorithm} cannot be evaluated: it has no act_deterministically")
-            evaluator = Evaluator(evaluation, known.make(len(population)), stream.seeds, cutoff or known.cutoff)
-        elapsed = torch.zeros(len(population), dtype=torch.int64, device=population.device)
-        healthy = torch.ones(len(population), dtype=torch.bool, device=population.device)
-        standstill = _standstill(world.actions, population.device)
+            evaluator = Evaluator(evaluation, known.make(len(population)), lockstep.stream.seeds, cutoff or known.cutoff)
         for step in range(1, steps + 1):
-            actions = agents.act(observations, step)
-            healthy &= actions.isfinite().all(dim=1)
-            actions = torch.where(healthy[:, None], actions, standstill)
-            transition = world.step(states, actions)
-            healthy &= transition.rewards.isfinite()
-            states, next_observations = transition.states, world.observe(transition.states)
-            replay.add(observations, actions, transition.rewards, transition.terminated, next_observations)
-            if step >= batch_size:
-                healthy &= agents.update(replay.sample(stream, step, batch_size), step).isfinite()
-            elapsed += 1
-            truncated = elapsed >= (cutoff or known.cutoff)
-            if transition.truncated is not None:
-                truncated |= transition.truncated
-            truncated &= ~transition.terminated
-            ended = transition.terminated | truncated
-            recorder.add(transition.rewards, transition.terminated, truncated, healthy)
-            observations = next_observations
-            if ended.any():
-                states = torch.where(ended[:, None], world.start(stream, step, ended), states)
-                observations = world.observe(states)
-                elapsed = elapsed.masked_fill(ended, 0)
+            lockstep.run()
             if evaluator is not None and evaluation is not None and step % evaluation.every == 0:
-                evaluator.run(agents, step, healthy)
+                evaluator.run(lockstep.agents, step, lockstep.healthy)
             if on_step is not None:
                 on_step(step)
-    records = _without_copies(recorder.finish(), len(hypers))
+        records = _without_copies(lockstep.recorder.finish(), len(hypers))
     return records if evaluator is None else replace(records, evaluations=evaluator.finish(len(hypers)))
 
 
-def _standstill(space: ActionSpace, device: torch.device) -> Tensor:
-    """Return the action [A] nearest to 0."""
-    if isinstance(space, Discrete):
-        return torch.zeros(1, device=device)
-    low, high = torch.tensor(space.low, device=device), torch.tensor(space.high, device=device)
-    return torch.zeros_like(low).clamp(low, high)
+def _make(
+    entry: AlgorithmEntry,
+    known: EnvironmentEntry,
+    world: Environment,
+    population: Population,
+    steps: int,
+    cutoff: int | None,
+    discount: float,
+) -> LockStep:
+    """Put together what a population needs to train: its agents, its replay buffers, its recorder."""
+    device, stream = population.device, population.stream()
+    algorithm = entry.load()
+    # An environment that keeps its own state is Python: it cannot be captured, nor can an algorithm that does not say it can.
+    capturable = not known.keeps_state and getattr(algorithm, "capturable", False)
+    counts_on_device = capturable and kernels.library(device.type) is None
+    clock = Clock(device if counts_on_device else None)
+    stream.follow(clock)
+    task = Task(world.observation_size, world.actions, discount)
+    capacity = min(population.shared.replay_capacity, steps)
+    return LockStep(
+        algorithm(population, task, stream),
+        world,
+        stream,
+        Replay(len(population), capacity, task.observation_size, task.actions.size, device, clock),
+        Recorder(len(population), device, clock),
+        clock,
+        cutoff or known.cutoff,
+        population.shared.batch_size,
+        captured=counts_on_device and device.type == "cuda",
+    )
 
 
 @contextmanager

@@ -28,6 +28,8 @@ _REVERSION = 0.15
 class DDPG:
     """P DDPG agents in lock-step."""
 
+    capturable = True
+
     def __init__(self, population: Population, task: Task, stream: RandomStream) -> None:
         """Initialize θ, θ_targ, φ, φ_targ (line 2)."""
         assert isinstance(task.actions, Continuous)
@@ -46,7 +48,7 @@ class DDPG:
     def act(self, observations: Tensor, step: int) -> Tensor:
         """Return π(S) + ε, clipped to the range (line 5)."""
         drawn = self.exploration_scale * self.stream.normals(Purpose.ACTION, step, self.space.size)
-        self.noise = self.noise * (1 - _REVERSION) + drawn if self.exploration == "ornstein-uhlenbeck" else drawn
+        self.noise.mul_(1 - _REVERSION if self.exploration == "ornstein-uhlenbeck" else 0).add_(drawn)
         policy = Deterministic(self.space, self.actor.forward(observations.unsqueeze(1)))
         return policy.perturbed(self.noise.unsqueeze(1)).squeeze(1)
 

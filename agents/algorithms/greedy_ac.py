@@ -32,6 +32,8 @@ from agents.spaces import Continuous
 class GreedyAC:
     """P GreedyAC agents in lock-step. Gaussian actor and proposal, which starts as a copy of the actor; or a softmax actor."""
 
+    capturable = True
+
     def __init__(self, population: Population, task: Task, stream: RandomStream) -> None:
         """Initialize θ, θ_targ, φ, and φ_prop if actions are continuous (Algorithm 7, lines 1–6)."""
         self.space = task.actions

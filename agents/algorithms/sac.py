@@ -30,6 +30,8 @@ from agents.spaces import Discrete
 class SAC:
     """P SAC agents in lock-step."""
 
+    capturable = True
+
     def __init__(self, population: Population, task: Task, stream: RandomStream) -> None:
         """Initialize θ_1, θ_2, θ_1,targ, θ_2,targ, φ (line 2)."""
         self.entropy_scale = population.stacked("entropy_scale")[:, None, None]

@@ -28,6 +28,8 @@ from agents.spaces import Continuous
 class SACOriginal:
     """P SAC-original agents in lock-step."""
 
+    capturable = True
+
     def __init__(self, population: Population, task: Task, stream: RandomStream) -> None:
         """Initialize θ_1, θ_2, w, w_targ, φ (line 2)."""
         P, hypers = len(population), population.shared

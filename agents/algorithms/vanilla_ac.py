@@ -26,6 +26,8 @@ from agents.spaces import Continuous
 class VanillaAC:
     """P VanillaAC agents in lock-step, with a Gaussian or softmax actor."""
 
+    capturable = True
+
     def __init__(self, population: Population, task: Task, stream: RandomStream) -> None:
         """Initialize θ, θ_targ, φ (line 2)."""
         self.hypers = population.shared

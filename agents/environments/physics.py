@@ -3,6 +3,7 @@
 The force is a number in ±`force_bound`: a continuous action is clipped to it; the three discrete ones are −1, 0 and 1 times it.
 """
 
+import functools
 from typing import ClassVar
 
 import torch
@@ -38,7 +39,8 @@ class Physics:
 
     def start_at(self, uniforms: Tensor) -> Tensor:
         """Return start states [P, S] for numbers [P, S] that are uniform on (0, 1)."""
-        return uniforms * uniforms.new_tensor(self.start_width) + uniforms.new_tensor(self.start_low)
+        low, width = (_constant(x, uniforms.dtype, uniforms.device) for x in (self.start_low, self.start_width))
+        return torch.addcmul(low, uniforms, width)
 
     def step(self, states: Tensor, actions: Tensor) -> Transition:
         """Apply actions [P, 1] in states [P, S]."""
@@ -54,6 +56,11 @@ class Physics:
         if isinstance(self.actions, Discrete):
             return (force - 1).clamp(-1, 1) * self.force_bound
         return force.clamp(-self.force_bound, self.force_bound)
+
+
+@functools.cache
+def _constant(values: tuple[float, ...], dtype: torch.dtype, device: torch.device) -> Tensor:
+    return torch.tensor(values, dtype=dtype, device=device)
 
 
 def wrap(angles: Tensor) -> Tensor:

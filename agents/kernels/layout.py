@@ -17,7 +17,7 @@ _ALIASED = 128  # rows that are a multiple of this many floats apart compete for
 class LayerLayout:
     """One linear layer: the offsets of its weights and biases, its sizes, and the floats from one row to the next.
 
-    A hidden layer has a row for each input (with padding, `rows`), the head one for each output; `stride` ≥ `columns` ≥ the width.
+    A hidden layer has a row for each input (with padding, `rows`), the head one for each output; `stride` ≥ `columns` ≥ width.
     """
 
     weights: int

@@ -1,0 +1,280 @@
+"""The native engine against plain double-precision arithmetic and the pure-torch engine, and its own laws."""
+
+import itertools
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+from agents import kernels
+from agents.elites import best_actions
+from agents.kernels import native
+from agents.kernels.layout import lay_out
+from agents.networks import PopulationMLP, polyak_average_
+from agents.optimizer import PopulationAdam
+from agents.rng import Purpose, RandomStream
+
+ROOT = Path(__file__).parents[2]
+pytestmark = pytest.mark.skipif(not sorted(Path(native.__file__).parent.glob("_native*.so")), reason="no native kernels here")
+
+P = 3
+SHAPES = [
+    # inputs, hidden, outputs, batch
+    (3, (64, 64, 64), 1, 32),
+    (2, (64, 64), 2, 32),
+    (3, (64, 64), 1, 1),
+    (4, (8,), 3, 5),
+    (7, (10, 33, 7), 2, 13),
+    (17, (256, 256), 6, 32),
+    (5, (128, 112, 144), 1, 7),
+    (1, (1, 1), 1, 2),
+    (23, (65, 300), 4, 33),
+    (4, (8,), 3, 200),
+]
+
+
+def variants():
+    try:
+        best = native.load(None)
+    except native.NotAvailableError:
+        return []
+    return [f"native-{name}" for name in best.compiled[best.compiled.index(best.variant) :]]
+
+
+@pytest.fixture(params=variants())
+def engine(request):
+    with kernels.using(request.param), torch.no_grad():
+        yield request.param
+
+
+def network(inputs, hidden, heads, seed=0, population=P):
+    generator = torch.Generator().manual_seed(seed)
+    made = PopulationMLP(population, inputs, hidden, heads)
+    for part in itertools.chain(*made.layers):
+        part.copy_(torch.randn(part.shape, generator=generator) / part.shape[1] ** 0.5)
+    return made, generator
+
+
+def double_forward(layers, x):
+    """Every layer's input, and the output, in double precision."""
+    inputs = [x.double()]
+    for index, (weights, biases) in enumerate(layers):
+        x = inputs[-1] @ weights.double() + biases.double()
+        inputs.append(x.relu() if index < len(layers) - 1 else x)
+    return inputs
+
+
+def close(found, expected, tolerance=2e-6):
+    assert (found.double() - expected).norm() <= tolerance * expected.norm() + 1e-30
+
+
+@pytest.mark.parametrize(("inputs", "hidden", "outputs", "batch"), SHAPES)
+def test_forward_and_backward_are_those_of_double_precision(engine, inputs, hidden, outputs, batch):
+    made, generator = network(inputs, hidden, (outputs,))
+    x = torch.randn(P, batch, inputs, generator=generator)
+    dy = torch.randn(P, batch, outputs, generator=generator)
+    y, kept = made.forward_for_gradient(x)
+    of_inputs = made.backward(kept, dy, inputs=True)
+    *layer_inputs, expected = double_forward(made.layers, x)
+    close(y, expected)
+    assert torch.equal(made.forward(x), y)
+    d = dy.double()
+    for index in reversed(range(len(made.layers))):
+        (weights, _), (of_weights, of_biases) = made.layers[index], made.gradient_layers[index]
+        close(kept.inputs[index], layer_inputs[index])
+        close(of_weights, layer_inputs[index].transpose(1, 2) @ d)
+        close(of_biases, d.sum(1, keepdim=True))
+        d = d @ weights.double().transpose(1, 2)
+        d = d * (layer_inputs[index] > 0) if index else d
+    close(of_inputs, d)
+    weights_and_biases = sum(part[0].numel() for part in itertools.chain(*made.layers))
+    assert (made.gradient[0] != 0).sum() <= weights_and_biases  # nothing is written where no parameter lies
+
+
+@pytest.mark.parametrize("num_actions", [1, 3, 7, 30, 31])
+@pytest.mark.parametrize(("inputs", "hidden", "outputs", "batch"), SHAPES)
+def test_values_of_actions_are_those_of_the_forward_pass_bit_for_bit(engine, inputs, hidden, outputs, batch, num_actions):
+    for action_size in {1, min(6, inputs - 1)} - {0}:
+        if inputs == action_size:
+            continue
+        made, generator = network(inputs, hidden, (outputs,))
+        states = torch.randn(P, batch, inputs - action_size, generator=generator)
+        actions = torch.randn(P, batch, num_actions, action_size, generator=generator)
+        pairs = torch.cat([states.unsqueeze(2).expand(-1, -1, num_actions, -1), actions], -1).flatten(1, 2)
+        expected = made.forward(pairs)[..., 0].view(P, batch, num_actions)
+        assert torch.equal(made.values_of_actions(states, actions), expected)
+        everywhere = actions[:, :1].expand(-1, batch, -1, -1)  # a view that repeats itself
+        assert torch.equal(made.values_of_actions(states, everywhere), made.values_of_actions(states, everywhere.contiguous()))
+
+
+def test_inputs_may_be_views_of_wider_rows(engine):
+    made, generator = network(3, (64, 64), (1,))
+    rows = torch.randn(P, 32, 9, generator=generator)
+    assert torch.equal(made.forward(rows[..., 2:5]).clone(), made.forward(rows[..., 2:5].contiguous()))
+    turned = rows[..., 2:5].transpose(1, 2).contiguous().transpose(1, 2)  # the last axis is not dense
+    assert torch.equal(made.forward(turned).clone(), made.forward(rows[..., 2:5].contiguous()))
+
+
+@pytest.mark.parametrize(("inputs", "hidden", "outputs", "batch"), SHAPES)
+def test_descend_is_backward_and_a_step_of_adam_bit_for_bit(engine, inputs, hidden, outputs, batch):
+    results = []
+    for fused in (True, False):
+        made, generator = network(inputs, hidden, (outputs,))
+        optimizer = PopulationAdam(made.parameters, torch.tensor([1e-1, 1e-3, 1e-5]))
+        for _ in range(3):
+            x = torch.randn(P, batch, inputs, generator=generator)
+            dy = torch.randn(P, batch, outputs, generator=generator)
+            made.forward(torch.randn(P, batch, inputs, generator=generator))  # another use of the same scratch memory
+            _, kept = made.forward_for_gradient(x)
+            if fused:
+                made.descend(kept, dy, optimizer)
+            else:
+                made.backward(kept, dy)
+                optimizer.step_(made.gradient)
+        results.append((made.parameters, optimizer.first_moment, optimizer.second_moment))
+    assert all(torch.equal(a, b) for a, b in zip(*results, strict=True))
+    made, _ = network(inputs, hidden, (outputs,))
+    assert not torch.equal(made.parameters, results[0][0])
+
+
+def test_adam_and_polyak_do_not_depend_on_the_number_of_parameters(engine):
+    generator = torch.Generator().manual_seed(0)
+    parameters, gradient = torch.randn(2, 100, generator=generator), torch.randn(2, 100, generator=generator)
+    whole = parameters.clone()
+    PopulationAdam(whole, torch.tensor([0.1, 0.2])).step_(gradient)
+    target = torch.zeros_like(whole)
+    polyak_average_(target, whole, torch.tensor([[0.3], [0.7]]))
+    for count in (1, 3, 17, 99):
+        part, part_target = parameters[:, :count].contiguous(), torch.zeros(2, count)
+        PopulationAdam(part, torch.tensor([0.1, 0.2])).step_(gradient[:, :count].contiguous())
+        polyak_average_(part_target, part, torch.tensor([[0.3], [0.7]]))
+        assert torch.equal(part, whole[:, :count])
+        assert torch.equal(part_target, target[:, :count])
+
+
+def test_a_number_that_is_not_finite_is_never_hidden_by_a_relu(engine):
+    for layer in range(3):
+        made, generator = network(3, (64, 64), (1,))
+        made.layers[layer][0][1, 0, 0] = torch.nan
+        x = torch.randn(P, 32, 3, generator=generator)
+        y, kept = made.forward_for_gradient(x.abs())
+        made.backward(kept, torch.ones(P, 32, 1))
+        values = made.values_of_actions(x[..., :2].abs(), torch.ones(P, 32, 6, 1))
+        for result in (y, values, *((made.gradient,) if layer < 2 else ())):
+            assert not result[1].isfinite().all(), layer
+            assert result[[0, 2]].isfinite().all()
+
+
+def test_all_variants_give_the_same_bits():
+    def everything():
+        made, generator = network(5, (65, 64, 130), (2, 1))
+        optimizer = PopulationAdam(made.parameters, torch.full((P,), 1e-2))
+        x, dy = torch.randn(P, 33, 5, generator=generator), torch.randn(P, 33, 3, generator=generator)
+        y, kept = made.forward_for_gradient(x)
+        of_inputs = made.backward(kept, dy, inputs=True)
+        made.descend(kept, dy, optimizer)
+        values = made.values_of_actions(x[..., :4], torch.randn(P, 33, 11, 1, generator=generator))
+        stream = RandomStream(torch.tensor([1, 2, 3]))
+        drawn = [stream.normals(1, 5, 1000), stream.uniforms(1, 5, 77), stream.integers(2, 3, 100, 1000).double()]
+        return [y.clone(), of_inputs, made.gradient, made.parameters, values, *drawn]
+
+    found = []
+    for name in variants():
+        with kernels.using(name), torch.no_grad():
+            assert kernels.engine_name("cpu") == name
+            found.append(everything())
+    for other in found[1:]:
+        assert all(torch.equal(a, b) for a, b in zip(found[0], other, strict=True))
+
+
+def test_random_numbers_are_those_of_the_torch_engine(engine):
+    seeds = torch.tensor([0, 7, 2**40 + 1])
+    ours = RandomStream(seeds)
+    with kernels.using("torch"):
+        torchs = RandomStream(seeds)
+    for step, count in ((0, 1), (3, 64), (99_999, 1000)):
+        assert torch.equal(ours.uniforms(Purpose.ACTION, step, count), torchs.uniforms(Purpose.ACTION, step, count))
+        drawn = [s.integers(Purpose.MINIBATCH, step, count, 99_991, offset=100_000) for s in (ours, torchs)]
+        assert torch.equal(*drawn)
+        normals = [s.normals(Purpose.ACTION, step, count) for s in (ours, torchs)]
+        torch.testing.assert_close(*normals, rtol=2e-6, atol=2e-6)
+
+
+def test_normal_numbers_are_those_of_double_precision(engine):
+    stream = RandomStream(torch.tensor([11]))
+    uniform = stream.uniforms(Purpose.ACTION, 1, 6400).double().view(100, 4, 16)
+    radius, angle = (-2 * uniform[:, 0::2].log()).sqrt(), 2 * torch.pi * uniform[:, 1::2]
+    expected = torch.cat([radius * angle.cos(), radius * angle.sin()], 1).flatten()
+    torch.testing.assert_close(stream.normals(Purpose.ACTION, 1, 6400)[0].double(), expected, rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("count", [1, 3, 30])
+def test_best_actions_are_the_first_of_the_highest_values(engine, count):
+    generator = torch.Generator().manual_seed(0)
+    values = torch.randint(0, 12, (P, 5, 30), generator=generator).float()  # with ties
+    actions = torch.randn(P, 5, 30, 2, generator=generator)
+    order = values.argsort(dim=2, descending=True, stable=True)[..., :count]
+    assert torch.equal(best_actions(values, actions, count), actions.gather(2, order.unsqueeze(-1).expand(-1, -1, -1, 2)))
+    values[1] = torch.nan
+    assert best_actions(values, actions, count)[[0, 2]].isfinite().all()
+
+
+@pytest.mark.parametrize("widths", [(3, 64, 64, 1), (2, 8, 2), (7, 10, 33, 7, 2), (17, 128, 256, 6)])
+def test_layers_do_not_overlap_and_start_at_cache_lines(widths):
+    layout = lay_out(widths)
+    taken = []
+    for index, layer in enumerate(layout.layers):
+        head = index == len(widths) - 2
+        assert (layer.fan_in, layer.fan_out) == (widths[index], widths[index + 1])
+        rows = layer.fan_out if head else layer.fan_in
+        assert layer.rows >= rows and layer.columns >= (layer.fan_in if head else layer.fan_out)
+        taken.append(range(layer.weights, layer.weights + max(layer.rows, rows) * layer.stride))
+        taken.append(range(layer.biases, layer.biases + (layer.fan_out if head else layer.columns)))
+        assert layer.weights % 16 == layer.biases % 16 == layer.stride % 16 == 0
+    assert all(a.stop <= b.start for a, b in itertools.pairwise(taken))
+    assert taken[-1].stop <= layout.size and layout.size % 16 == 0
+
+
+def test_what_cannot_be_had_is_refused_and_auto_falls_back(monkeypatch):
+    def unavailable(variant=None):
+        raise native.NotAvailableError("this processor has none of the instruction sets")
+
+    with kernels.using("no-such"), pytest.raises(kernels.EngineError, match="must be one of auto, native, torch"):
+        kernels.library("cpu")
+    with kernels.using("native-avx9000"), pytest.raises(kernels.EngineError, match="no variant avx9000"):
+        kernels.library("cpu")
+    with kernels.using("native"):
+        assert kernels.library("cuda") is None
+    monkeypatch.setattr(kernels, "load", unavailable)
+    with kernels.using("native"), pytest.raises(kernels.EngineError, match="none of the instruction sets"):
+        kernels.library("cpu")
+    with kernels.using("auto"):
+        assert kernels.library("cpu") is None
+        assert kernels.report() == kernels.Report("torch", "this processor has none of the instruction sets")
+
+
+def test_the_environment_variable_selects_the_engine():
+    for wanted in ("torch", *variants()):
+        command = [sys.executable, "-c", "from agents import kernels; print(kernels.report().engine)"]
+        environment = {**os.environ, "SWEEP_ENGINE": wanted, "PYTHONPATH": str(ROOT)}
+        assert subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.strip() == wanted
+
+
+def test_the_install_succeeds_without_a_compiler_and_leaves_the_kernels_out(tmp_path):
+    environment = {**os.environ, "CC": "/no/compiler", "CXX": "/no/compiler"}
+    command = [
+        sys.executable,
+        "setup.py",
+        "build_ext",
+        "--build-lib",
+        str(tmp_path / "lib"),
+        "--build-temp",
+        str(tmp_path / "temp"),
+    ]
+    ran = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
+    assert ran.returncode == 0, ran.stderr
+    assert "the pure-torch engine will be used" in ran.stdout + ran.stderr
+    assert not list(tmp_path.rglob("*.so"))
