@@ -20,18 +20,21 @@ from agents.spaces import Discrete
 class Critic:
     """q_θ (and q_θ1, q_θ2 if `double`) of P agents, initialized with the networks numbered from 0."""
 
-    def __init__(self, population: Population, task: Task, stream: RandomStream, *, double: bool = False) -> None:
+    def __init__(self, population: Population, task: Task, stream: RandomStream, *, double: bool = False, target: bool = True) -> None:
+        """`double`: two critics an agent. Without a `target`, `target_values` and `update_target` are not to be called."""
         hypers = population.shared
         self.count = 2 if double else 1
         self.task = task
         self._one_hot = isinstance(task.actions, Discrete) and hypers.discrete_critic_input == "one-hot"
         inputs = task.observation_size + (task.actions.count if self._one_hot else task.actions.size)  # type: ignore[union-attr]
         size = (self.count * len(population), inputs, hypers.hidden_layers, (1,), population.device)
-        self.online, self.target = PopulationMLP(*size), PopulationMLP(*size)
+        self.online = PopulationMLP(*size)
         num_weights = self.online.parameters.shape[1]
         uniform = [stream.uniforms(Purpose.INITIAL_WEIGHTS, index, num_weights) for index in range(self.count)]
         self.online.initialize_(torch.stack(uniform, dim=1).flatten(0, 1))
-        self.target.parameters.copy_(self.online.parameters)
+        if target:
+            self.target = PopulationMLP(*size)
+            self.target.parameters.copy_(self.online.parameters)
         self.optimizer = PopulationAdam(self.online.parameters, self._each(population.stacked("critic_step_size")))
         self._polyak = self._each(population.stacked("polyak")[:, None])
 

@@ -36,7 +36,7 @@ class SACOriginal:
         self.space = task.actions
         self.entropy_scale = population.stacked("entropy_scale")[:, None, None]
         self.polyak = population.stacked("polyak")[:, None]
-        self.critic = Critic(population, task, stream, double=True)
+        self.critic = Critic(population, task, stream, double=True, target=False)
         self.actor = SoftActor(population, task, stream, network=2)
         self.value = PopulationMLP(P, task.observation_size, hypers.hidden_layers, (1,), population.device)
         self.target = PopulationMLP(P, task.observation_size, hypers.hidden_layers, (1,), population.device)

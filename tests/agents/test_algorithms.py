@@ -80,7 +80,7 @@ def random_batch(generator, space):
 
 def population_networks(agents):
     """Names as the plain agents have them → the population's networks."""
-    found = {"critics": agents.critic.online, "targets": agents.critic.target}
+    found = {"critics": agents.critic.online, "targets": getattr(agents.critic, "target", None)}
     for name, attribute in (("actor", "actor"), ("proposal", "proposal"), ("value", "value"), ("actor_target", "actor_target")):
         network = getattr(agents, attribute, None)
         found[name] = getattr(network, "network", network)
