@@ -4,7 +4,10 @@ VENV := .venv
 BIN := $(VENV)/bin
 STORE ?= results
 
-.PHONY: help demo test test-slow test-cluster test-mujoco check format bench clean
+.PHONY: help demo test test-slow test-cluster test-mujoco test-gpu check format bench bench-gpu clean
+
+# The native kernels are compiled by the install.
+SOURCES := pyproject.toml setup.py $(wildcard agents/kernels/src/*)
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*##/\t/' | expand -t 16
@@ -26,6 +29,9 @@ test-cluster: $(VENV)/installed-dev  ## tests that kill processes
 test-mujoco: $(VENV)/installed-dev  ## tests on MuJoCo's physics
 	$(BIN)/python -m pytest -m mujoco
 
+test-gpu: $(VENV)/installed-dev  ## tests on a CUDA device
+	$(BIN)/python -m pytest -m gpu
+
 check: $(VENV)/installed-dev  ## format, lint, types, import contracts, tests
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
@@ -37,18 +43,21 @@ format: $(VENV)/installed-dev  ## format the code and mend what the linter can
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-bench: $(VENV)/installed-dev  ## agent-steps a second: populations against a plain single agent
-	$(BIN)/python tests/benchmarks/training_speed.py
+bench: $(VENV)/installed-dev  ## agent-steps a second: populations against a plain single agent, and the share of sgemm
+	$(BIN)/python tests/benchmarks/training_speed.py --json bench.json
+
+bench-gpu:  ## the same on a CUDA device, checked against the CPU; needs torch and numpy only, in whatever Python PYTHON is
+	PYTHONPATH=. $(PYTHON) tests/benchmarks/gpu_speed.py --json bench-gpu.json
 
 clean:  ## remove the virtual environment and caches, never results
-	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) build *.egg-info agents/kernels/*.so bench*.json .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 
-$(VENV)/installed: pyproject.toml
+$(VENV)/installed: $(SOURCES)
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --editable .
 	touch $@
 
-$(VENV)/installed-dev: pyproject.toml
+$(VENV)/installed-dev: $(SOURCES)
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --editable '.[dev]'
 	touch $@ $(VENV)/installed

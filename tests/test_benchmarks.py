@@ -20,11 +20,25 @@ def test_the_speed_benchmark_compares_populations_with_a_plain_agent(tmp_path):
         "--populations",
         "1",
         "2",
+        "--algorithms",
+        "GreedyAC",
+        "SAC",
     ]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     ran = subprocess.run([*command, "--json", tmp_path / "speed.json"], cwd=ROOT, env=environment, capture_output=True, text=True)
     assert ran.returncode == 0, ran.stderr
     rows = json.loads((tmp_path / "speed.json").read_text())
-    assert {row["variant"] for row in rows} == {"plain single agent", "population of 1", "population of 2"}
-    assert {row["algorithm"] for row in rows} == {"GreedyAC", "SAC"}
-    assert all(row["agent_steps_per_second"] > 0 and row["times_plain"] > 0 for row in rows)
+    assert {row["population"] for row in rows} == {"plain", 1, 2}
+    assert {(row["algorithm"], row["environment"]) for row in rows} == {
+        (algorithm, environment) for algorithm in ("GreedyAC", "SAC") for environment in ("Pendulum-CA", "Pendulum-DA")
+    }
+    assert all(row["agent_steps_per_second"] > 0 and row["times_plain"] > 0 and row["share_of_sgemm"] > 0 for row in rows)
+    (greedy,) = {
+        row["mflop_per_step"]
+        for row in rows
+        if row["environment"] == "Pendulum-CA" and row["algorithm"] == "GreedyAC" and len(row["hidden_layers"]) == 3
+    }
+    # 960 evaluations of the critic, five of 32 (actor twice, target, critic, proposal), three backward passes, one act
+    critic, actor = 2 * (3 * 64 + 2 * 64 * 64 + 64), 2 * (2 * 64 + 2 * 64 * 64 + 64 * 2)
+    by_hand = 960 * critic + 32 * (3 * actor + 2 * critic) + 2 * 32 * (critic + 2 * actor) + actor
+    assert greedy == round(by_hand / 1e6, 2)

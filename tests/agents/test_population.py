@@ -5,6 +5,7 @@ import pytest
 import torch
 
 import agents
+from agents import kernels
 from agents.hypers import GreedyACHypers, SACHypers
 from agents.networks import PopulationMLP
 from agents.population import Population
@@ -35,6 +36,13 @@ PAIRS = [
     if ENVIRONMENTS[environment].actions in ALGORITHMS[algorithm].actions
 ]
 ONE_OF_EACH_KIND = [pair for pair in PAIRS if pair[1].startswith("Pendulum")]
+
+
+@pytest.fixture(params=["auto", "torch"])
+def engine(request):
+    """The engine that this machine trains with, and the one in pure torch."""
+    with kernels.using(request.param):
+        yield
 
 
 def train(algorithm, environment, hypers, seeds, steps=STEPS):
@@ -71,7 +79,7 @@ def networks_of(thing):
 
 @pytest.mark.parametrize("shared", [{}, {"hidden_layers": (10, 33, 7), "batch_size": 5}, {"hidden_layers": (64, 64, 64)}])
 @pytest.mark.parametrize(("algorithm", "environment"), ONE_OF_EACH_KIND)
-def test_every_parameter_of_an_agent_is_the_same_alone_and_in_a_crowd(algorithm, environment, shared, monkeypatch):
+def test_every_parameter_of_an_agent_is_the_same_alone_and_in_a_crowd(algorithm, environment, shared, monkeypatch, engine):
     """Returns could hide a difference in the last bit; parameters after 100 updates cannot."""
     original, caught = ALGORITHMS[algorithm].load(), []
 
@@ -161,7 +169,7 @@ WAYS_TO_DIVERGE = [{"critic_step_size": 1e30}, {"critic_step_size": 1e-3, "actor
 @pytest.mark.parametrize("bad", WAYS_TO_DIVERGE, ids=["critic", "actor"])
 @pytest.mark.parametrize(("algorithm", "environment"), ONE_OF_EACH_KIND)
 def test_an_agent_that_diverges_is_frozen_and_marked_and_its_neighbours_do_not_notice(
-    algorithm, environment, bad, trained, monkeypatch
+    algorithm, environment, bad, trained, monkeypatch, engine
 ):
     given, cls = [], type(ENVIRONMENTS[environment].make(3))
     step = cls.step

@@ -22,22 +22,37 @@ INLINE void philox(uint64_t key, uint32_t group, uint32_t step, uint32_t purpose
   }
 }
 
-// On the open interval (0, 1): one of 2^24 equally spaced numbers.
-INLINE float open_uniform(uint32_t word) { return ((float)(int32_t)(word >> 8) + 0.5f) * (1.0f / 16777216.0f); }
+// Sixteen numbers at once, whatever the width of a register: the compiler divides them.
+typedef float Floats __attribute__((vector_size(4 * LANES)));
+typedef int32_t Ints __attribute__((vector_size(4 * LANES)));
+typedef uint32_t Uints __attribute__((vector_size(4 * LANES)));
+
+INLINE Floats floats(Ints x) { return __builtin_convertvector(x, Floats); }
+INLINE Floats select(Ints mask, Floats yes, Floats no) { return (Floats)(((Ints)yes & mask) | ((Ints)no & ~mask)); }
+
+INLINE Floats square_root(Floats x) {
+  Vector parts[LANES / WIDTH];
+  memcpy(parts, &x, sizeof x);
+  UNROLL for (int i = 0; i < LANES / WIDTH; i++) parts[i] = (Vector)SQRT(parts[i]);
+  memcpy(&x, parts, sizeof x);
+  return x;
+}
+
+// On the open interval (0, 1): of 2^24 equally spaced numbers.
+INLINE Floats open_uniform(const uint32_t *words) {
+  Uints x;
+  memcpy(&x, words, sizeof x);
+  return (floats((Ints)(x >> 8)) + 0.5f) * (1.0f / 16777216.0f);
+}
 
 // ln x for x in (0, 1), to 1 ulp (the polynomial of Cephes' logf).
-INLINE float natural_logarithm(float x) {
-  uint32_t bits;
-  memcpy(&bits, &x, 4);
-  int32_t exponent = (int32_t)(bits >> 23) - 126;
-  bits = (bits & 0x7fffff) | 0x3f000000;
-  float m;
-  memcpy(&m, &bits, 4);
-  int32_t small = m < 0.70710678f;
-  exponent -= small;
-  m = small ? m + m : m;
-  float t = m - 1, z = t * t, y = 7.0376836292e-2f;
-  y = y * t - 1.1514610310e-1f;
+INLINE Floats natural_logarithm(Floats x) {
+  Uints bits = (Uints)x;
+  Floats m = (Floats)((bits & 0x7fffffu) | 0x3f000000u);
+  Ints small = (Ints)(m < 0.70710678f);
+  Ints exponent = (Ints)(bits >> 23) - 126 + small;
+  m = m + (Floats)((Ints)m & small);
+  Floats t = m - 1.0f, z = t * t, y = t * 7.0376836292e-2f - 1.1514610310e-1f;
   y = y * t + 1.1676998740e-1f;
   y = y * t - 1.2420140846e-1f;
   y = y * t + 1.4249322787e-1f;
@@ -46,38 +61,37 @@ INLINE float natural_logarithm(float x) {
   y = y * t - 2.4999993993e-1f;
   y = y * t + 3.3333331174e-1f;
   y = (y * t) * z;
-  float e = (float)exponent;
+  Floats e = floats(exponent);
   y = y + e * -2.12194440e-4f;
-  y = y + z * -0.5f;
+  y = y - z * 0.5f;
   return (t + y) + e * 0.693359375f;
 }
 
 // sin 2πu and cos 2πu for u in (0, 1): the nearest quarter turn is taken off exactly, the rest by polynomials.
-INLINE void sine_and_cosine(float u, float &sine, float &cosine) {
-  int32_t quarter = (int32_t)(u * 4 + 0.5f);
-  float r = (u - (float)quarter * 0.25f) * 6.283185307f, z = r * r;
-  float s = z * -1.9515295891e-4f + 8.3321608736e-3f;
+INLINE void sine_and_cosine(Floats u, Floats &sine, Floats &cosine) {
+  Ints quarter = __builtin_convertvector(u * 4.0f + 0.5f, Ints);
+  Floats r = (u - floats(quarter) * 0.25f) * 6.283185307f, z = r * r;
+  Floats s = z * -1.9515295891e-4f + 8.3321608736e-3f;
   s = s * z - 1.6666654611e-1f;
-  float zr = z * r;
-  s = s * zr + r;
-  float c = z * 2.443315711809948e-5f - 1.388731625493765e-3f;
+  s = s * (z * r) + r;
+  Floats c = z * 2.443315711809948e-5f - 1.388731625493765e-3f;
   c = c * z + 4.166664568298827e-2f;
-  float zz = z * z, half = 1 - z * 0.5f;
-  c = c * zz + half;
-  float first = quarter & 1 ? c : s, second = quarter & 1 ? s : c;
-  sine = quarter & 2 ? -first : first;
-  cosine = (quarter + 1) & 2 ? -second : second;
+  c = c * (z * z) + (1.0f - z * 0.5f);
+  Ints odd = -(quarter & 1);
+  Uints sine_sign = ((Uints)quarter & 2u) << 30, cosine_sign = ((Uints)(quarter + 1) & 2u) << 30;
+  sine = (Floats)((Uints)select(odd, c, s) ^ sine_sign);
+  cosine = (Floats)((Uints)select(odd, s, c) ^ cosine_sign);
 }
 
 // 64 standard normal numbers (Box–Muller): words 0 and 2 are radii, 1 and 3 their angles.
-INLINE void normal_group(const Words c, float out[4][LANES]) {
-  for (int pair = 0; pair < 2; pair++)
-    for (int i = 0; i < LANES; i++) {
-      float radius = __builtin_sqrtf(-2 * natural_logarithm(open_uniform(c[2 * pair][i]))), sine, cosine;
-      sine_and_cosine(open_uniform(c[2 * pair + 1][i]), sine, cosine);
-      out[pair][i] = radius * cosine;
-      out[pair + 2][i] = radius * sine;
-    }
+INLINE void normal_group(const Words words, float out[4][LANES]) {
+  UNROLL for (int pair = 0; pair < 2; pair++) {
+    Floats radius = square_root(natural_logarithm(open_uniform(words[2 * pair])) * -2.0f), sine, cosine;
+    sine_and_cosine(open_uniform(words[2 * pair + 1]), sine, cosine);
+    Floats first = radius * cosine, second = radius * sine;
+    memcpy(out[pair], &first, sizeof first);
+    memcpy(out[pair + 2], &second, sizeof second);
+  }
 }
 
 enum class Kind { uniform, normal };
@@ -93,8 +107,10 @@ static void draw(int population, const int64_t *seeds, uint32_t purpose, uint32_
       if (KIND == Kind::normal) {
         normal_group(words, numbers);
       } else {
-        for (int w = 0; w < 4; w++)
-          for (int k = 0; k < LANES; k++) numbers[w][k] = open_uniform(words[w][k]);
+        UNROLL for (int w = 0; w < 4; w++) {
+          Floats drawn = open_uniform(words[w]);
+          memcpy(numbers[w], &drawn, sizeof drawn);
+        }
       }
       int64_t left = count - i;
       memcpy(out + a * count + i, numbers, sizeof(float) * (left < GROUP_NUMBERS ? left : GROUP_NUMBERS));
