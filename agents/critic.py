@@ -20,7 +20,9 @@ from agents.spaces import Discrete
 class Critic:
     """q_θ (and q_θ1, q_θ2 if `double`) of P agents, initialized with the networks numbered from 0."""
 
-    def __init__(self, population: Population, task: Task, stream: RandomStream, *, double: bool = False, target: bool = True) -> None:
+    def __init__(
+        self, population: Population, task: Task, stream: RandomStream, *, double: bool = False, target: bool = True
+    ) -> None:
         """`double`: two critics an agent. Without a `target`, `target_values` and `update_target` are not to be called."""
         hypers = population.shared
         self.count = 2 if double else 1

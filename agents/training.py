@@ -32,6 +32,7 @@ def train(
     cutoff: int | None = None,
     discount: float = 0.99,
     device: str = "cpu",
+    tf32: bool = False,
     evaluation: Evaluation | None = None,
     on_step: Callable[[int], None] | None = None,
 ) -> Records:
@@ -40,6 +41,7 @@ def train(
     The result of an agent depends on its own hyperparameters and seed only, bit for bit on one machine, not on who is trained
     beside it. One update follows every step from the `batch_size`-th on; returns are those of the learning policy.
     `cutoff` truncates episodes (default: the environment's own); `on_step` is called after each step with its number.
+    `tf32` lets a GPU round the operands of matrix products to 10 bits of mantissa: faster, and other numbers.
     `evaluation` asks for deterministic episodes beside the learning, which does not change by them.
 
     An agent whose action, reward or critic loss stops being finite has diverged: it is marked, its returns are NaN from that
@@ -63,7 +65,7 @@ def train(
     keep_freed_memory()
     population = padded(hypers, seeds, torch.device(device))
     world = known.make(len(population))
-    with torch.no_grad(), _denormals_flushed():
+    with torch.no_grad(), _denormals_flushed(), _matrix_precision(tf32):
         lockstep = _make(entry, known, world, population, steps, cutoff, discount)
         evaluator = None
         if evaluation is not None:
@@ -121,6 +123,17 @@ def _denormals_flushed() -> Iterator[None]:
         yield
     finally:
         torch.set_flush_denormal(bool(flushed_before))
+
+
+@contextmanager
+def _matrix_precision(tf32: bool) -> Iterator[None]:
+    """Allow or forbid TF32 in matrix products on a GPU, whatever was set before."""
+    before = torch.backends.cuda.matmul.allow_tf32
+    torch.backends.cuda.matmul.allow_tf32 = tf32
+    try:
+        yield
+    finally:
+        torch.backends.cuda.matmul.allow_tf32 = before
 
 
 def _without_copies(records: Records, num_agents: int) -> Records:

@@ -52,10 +52,12 @@ def library(device: str) -> Library | None:
         return None
 
 
-def engine_name(device: str) -> str:
-    """Return what is recorded with a trial trained on this type of device: "torch", or "native-" and the variant."""
+def engine_name(device: str, tf32: bool = False) -> str:
+    """Return what is recorded with a trial trained on this type of device: "torch", "torch-tf32", or "native-" and the variant."""
     found = library(device)
-    return "torch" if found is None else f"native-{found.variant}"
+    if found is not None:
+        return f"native-{found.variant}"
+    return "torch-tf32" if tf32 and device == "cuda" else "torch"
 
 
 def report() -> Report:

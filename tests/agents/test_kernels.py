@@ -10,8 +10,10 @@ from pathlib import Path
 import pytest
 import torch
 
+import agents
 from agents import kernels
 from agents.elites import best_actions
+from agents.hypers import SACHypers
 from agents.kernels import native
 from agents.kernels.layout import lay_out
 from agents.networks import PopulationMLP, polyak_average_
@@ -195,7 +197,7 @@ def everything():
 
 
 def test_all_variants_give_the_same_bits_which_are_those_of_every_other_machine():
-    """The digest was the same with GCC 11, GCC 12 and Clang 14; NEON, emulated, gave the bits of AVX in a driver without torch."""
+    """The digest was the same with GCC 11, GCC 12 and Clang 14; NEON, emulated, gave the bits of AVX in a driver of its own."""
     for name in variants():
         with kernels.using(name), torch.no_grad():
             assert kernels.engine_name("cpu") == name
@@ -267,6 +269,17 @@ def test_what_cannot_be_had_is_refused_and_auto_falls_back(monkeypatch):
     with kernels.using("auto"):
         assert kernels.library("cpu") is None
         assert kernels.report() == kernels.Report("torch", "this processor has none of the instruction sets")
+
+
+def test_tf32_is_off_unless_asked_for_and_recorded():
+    seen = []
+    for asked in (False, True):
+        options = {"steps": 1, "tf32": asked, "on_step": lambda _: seen.append(torch.backends.cuda.matmul.allow_tf32)}
+        agents.train("SAC", "Pendulum-CA", [SACHypers()], [0], **options)
+    assert seen == [False, True]
+    assert not torch.backends.cuda.matmul.allow_tf32
+    assert [kernels.engine_name("cuda", tf32) for tf32 in (False, True)] == ["torch", "torch-tf32"]
+    assert kernels.engine_name("cpu", True) == kernels.engine_name("cpu")
 
 
 def test_the_environment_variable_selects_the_engine():
