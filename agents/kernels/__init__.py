@@ -53,7 +53,7 @@ def library(device: str) -> Library | None:
 
 
 def engine_name(device: str, tf32: bool = False) -> str:
-    """Return what is recorded with a trial trained on this type of device: "torch", "torch-tf32", or "native-" and the variant."""
+    """Return what is recorded with a trial trained on this type of device: "torch", "torch-tf32", "native-" and the variant."""
     found = library(device)
     if found is not None:
         return f"native-{found.variant}"
