@@ -1,16 +1,28 @@
-"""How shards get to workers: a protocol of three methods, and the executor that needs no cluster."""
+"""How shards get to workers: a protocol of four methods, and the executor that needs no cluster."""
 
 from collections import deque
 from collections.abc import Callable
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 from cluster.worker import Receipt, Work, run_shard
 
+Argument = TypeVar("Argument")
+Result = TypeVar("Result")
+
 
 class Executor(Protocol):
-    """Runs shards somewhere. `slots` is how many can run at once."""
+    """Runs shards somewhere. `slots` is how many can run at once, `slots_on_a_machine` how many of them on one machine."""
 
+    name: str
     slots: int
+    slots_on_a_machine: int
+
+    def gather(self, function: Callable[[Argument], Result], argument: Argument, copies: int) -> list[Result]:
+        """Run `copies` of a function at once, each in a worker of its own, all on one machine, and return what they return.
+
+        For when no shard runs; `copies` is at most `slots_on_a_machine`. What the function raises is raised here.
+        """
+        ...
 
     def submit(self, work: Work) -> None:
         """Accept a shard; it starts when a slot is free."""
@@ -28,12 +40,16 @@ class Executor(Protocol):
 class InProcessExecutor:
     """Trains in this process, one shard after another: for tests, debugging and machines without Ray."""
 
-    slots = 1
+    name = "in-process"
+    slots = slots_on_a_machine = 1
 
     def __init__(self, on_progress: Callable[[], None] | None = None) -> None:
         """`on_progress` is called about once a second while a shard is trained."""
         self._queue: deque[Work] = deque()
         self._on_progress = on_progress
+
+    def gather(self, function: Callable[[Argument], Result], argument: Argument, copies: int) -> list[Result]:
+        return [function(argument) for _ in range(copies)]
 
     def submit(self, work: Work) -> None:
         self._queue.append(work)

@@ -7,29 +7,25 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from cluster.calibration import calibrate, reports
 from cluster.executor import Executor
 from cluster.progress import Progress
-from cluster.worker import Receipt, Work
+from cluster.worker import Receipt, Training, Work
 from sweep.shards import Shard, pack
 from sweep.store import Store
 from sweep.trials import Trial
 
 _IN_FLIGHT_PER_SLOT = 2
 _POLL_SECONDS = 0.5
-
-
-@dataclass(frozen=True)
-class Training:
-    """How shards are trained: on which device (auto, cpu, cuda), with how many threads each, at most how many trials."""
-
-    device: str = "cpu"
-    threads: int = 1
-    limit: int | None = None
+_AS_USUAL = Training()
 
 
 @dataclass
 class Summary:
-    """What a launch did. Rates are in agent-steps a second, over wall-clock time and all workers."""
+    """What a launch did. Rates are in agent-steps a second, over wall-clock time and all workers.
+
+    `peak_memory` is the most bytes that a worker had in memory.
+    """
 
     study: str
     trials: int
@@ -42,6 +38,7 @@ class Summary:
     interrupted: bool = False
     already_there: int = 0
     store_is_unwritable: bool = False
+    peak_memory: int = 0
 
     @property
     def finished(self) -> int:
@@ -60,7 +57,7 @@ def launch(
     store: Store,
     start_executor: Callable[[], Executor],
     progress: Progress,
-    training: Training = Training(),
+    training: Training = _AS_USUAL,
 ) -> Summary:
     """Train those of the trials that the store lacks. An executor is started only when there are any.
 
@@ -78,13 +75,24 @@ def launch(
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # batch systems send it; Ray has just put its own handler there
     started = time.monotonic()
     try:
-        _run(pack(missing[: training.limit], executor.slots), store, executor, progress, training, summary)
+        shards = _packed(missing[: training.limit], executor, training, progress)
+        _run(shards, store, executor, progress, training, summary)
     except KeyboardInterrupt:
         summary.interrupted = True
     finally:
         summary.seconds = time.monotonic() - started
         executor.close()
     return summary
+
+
+def _packed(trials: Sequence[Trial], executor: Executor, training: Training, progress: Progress) -> list[Shard]:
+    """Pack the trials into populations of the sizes that are fast here, and say what they are."""
+    with progress.preparing() as say:
+        calibrations = calibrate(trials, executor, training, say=say)
+    shards = pack(trials, executor.slots, calibrations.sizes(trials))
+    for line in reports(calibrations, shards):
+        progress.note(line)
+    return shards
 
 
 def _run(shards: list[Shard], store: Store, executor: Executor, progress: Progress, training: Training, summary: Summary) -> None:
@@ -96,7 +104,7 @@ def _run(shards: list[Shard], store: Store, executor: Executor, progress: Progre
                 shard = waiting.popleft()
                 store.clear_progress(shard.id)
                 in_flight.add(shard.id)
-                executor.submit(Work(shard, str(store.path.resolve()), training.device, training.threads))
+                executor.submit(Work(shard, str(store.path.resolve()), training.device, training.threads, training.tf32))
             for receipt in executor.wait(_POLL_SECONDS):
                 in_flight.discard(receipt.shard.id)
                 _count(receipt, store, summary)
@@ -108,6 +116,7 @@ def _run(shards: list[Shard], store: Store, executor: Executor, progress: Progre
 
 def _count(receipt: Receipt, store: Store, summary: Summary) -> None:
     shard = receipt.shard
+    summary.peak_memory = max(summary.peak_memory, receipt.peak_memory)
     if receipt.error is not None:
         summary.failed += len(shard.trials)
         summary.store_is_unwritable |= receipt.store_is_unwritable

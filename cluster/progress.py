@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bars
 
@@ -57,6 +58,19 @@ class Progress:
             yield
         self._bars = None
 
+    @contextlib.contextmanager
+    def preparing(self) -> Iterator[Callable[[str], None]]:
+        """Show on a terminal what is done before the work begins, as long as it is done; nothing elsewhere."""
+        if not self._console.is_terminal:
+            yield lambda _text: None
+            return
+        with self._console.status("preparing") as status:
+            yield lambda text: status.update(escape(text))
+
+    def note(self, line: str) -> None:
+        """Say something before the work begins."""
+        self._console.print(line, highlight=False, markup=False, soft_wrap=True)
+
     def finished(self, receipt: Receipt) -> None:
         """Count a shard that came back; one that failed is no longer waited for."""
         trials, steps = len(receipt.shard.trials), receipt.shard.agent_steps
@@ -67,8 +81,7 @@ class Progress:
         self._failed_trials += trials
         self._all_steps -= steps
         last = receipt.error.strip().splitlines()[-1]
-        line = f"shard {receipt.shard.id} failed ({trials} trials): {last}"
-        self._console.print(line, highlight=False, markup=False, soft_wrap=True)
+        self.note(f"shard {receipt.shard.id} failed ({trials} trials): {last}")
 
     def tick(self) -> None:
         """Bring the display up to date."""

@@ -9,8 +9,9 @@ import os
 import signal
 import socket
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 # Before the import: Ray reads them then. Usage statistics off; token authentication without a line about it.
 os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
@@ -18,7 +19,9 @@ os.environ.setdefault("RAY_AUTH_MODE", "token")
 os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
 
 import ray
+from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
+from cluster.executor import Argument, Result
 from cluster.worker import Receipt, Work, run_shard
 from sweep.messages import UserError
 
@@ -63,6 +66,8 @@ def _interrupts_held_back() -> Iterator[None]:
 class RayExecutor:
     """Runs shards on a local Ray of its own, or on the cluster at `address`; one CPU a shard."""
 
+    name = "ray"
+
     def __init__(self, address: str | None = None, num_cpus: int | None = None) -> None:
         """Start Ray on this machine with `num_cpus` slots (default: all cores), or join the cluster at `address`."""
         with _interrupts_held_back():
@@ -89,10 +94,19 @@ class RayExecutor:
         token = Path.home() / ".ray" / "auth_token"
         if token.exists():
             token.chmod(0o600)
-        self.slots = max(1, int(ray.cluster_resources().get("CPU", 1)))
+        nodes: dict[str, Any] = {node["NodeID"]: node["Resources"].get("CPU", 0) for node in ray.nodes() if node["Alive"]}
+        self._largest_node = max(nodes, key=lambda node: nodes[node])
+        self.slots = max(1, int(sum(nodes.values())))
+        self.slots_on_a_machine = max(1, int(nodes[self._largest_node]))
         self._task = ray.remote(num_cpus=1, max_retries=_MAX_RETRIES)(_run_shard).options(name="run_shard")
         self._umask = umask
         self._running: dict[ray.ObjectRef, Work] = {}
+
+    def gather(self, function: Callable[[Argument], Result], argument: Argument, copies: int) -> list[Result]:
+        task = ray.remote(num_cpus=1, max_retries=0)(function).options(
+            name=function.__name__, scheduling_strategy=NodeAffinitySchedulingStrategy(self._largest_node, soft=False)
+        )
+        return ray.get([task.remote(argument) for _ in range(copies)])
 
     def submit(self, work: Work) -> None:
         self._running[self._task.remote(work, self._umask)] = work

@@ -5,9 +5,10 @@ import socket
 import time
 import traceback
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from agents.registry import find_algorithm
+from cluster import machine
 from sweep import provenance
 from sweep.provenance import Provenance
 from sweep.shards import Shard
@@ -19,13 +20,27 @@ _UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 
 
 @dataclass(frozen=True)
+class Training:
+    """How shards are trained: on which device (auto, cpu, cuda), with how many threads each, at most how many trials.
+
+    `tf32`: whether a GPU may round the operands of matrix products.
+    """
+
+    device: str = "cpu"
+    threads: int = 1
+    limit: int | None = None
+    tf32: bool = False
+
+
+@dataclass(frozen=True)
 class Work:
-    """A shard, the store that its rows go to, and how it is to be trained: on `device` (auto, cpu, cuda), with `threads`."""
+    """A shard, the store that its rows go to, and how it is to be trained: on `device` (auto, cpu, cuda), with `threads`, `tf32`."""
 
     shard: Shard
     store: str
     device: str = "cpu"
     threads: int = 1
+    tf32: bool = False
 
 
 @dataclass(frozen=True)
@@ -33,7 +48,7 @@ class Receipt:
     """What a worker sends back: never rows, which are in the store. `error` is a traceback, or None.
 
     `committed` counts the trials that were not in the store already; `store_is_unwritable` says that no other shard's rows
-    could be committed either.
+    could be committed either. `peak_memory` is the most bytes that the worker had in memory meanwhile.
     """
 
     shard: Shard
@@ -42,15 +57,25 @@ class Receipt:
     diverged: int = 0
     error: str | None = None
     store_is_unwritable: bool = False
+    peak_memory: int = 0
 
 
 def run_shard(work: Work, on_progress: Callable[[], None] | None = None) -> Receipt:
     """Train a shard and commit its rows. An error is returned, not raised. `on_progress` is called about once a second."""
+    machine.reset_peak()
     try:
-        return _train_and_commit(work, on_progress)
+        receipt = _train_and_commit(work, on_progress)
     except Exception as error:
         unwritable = isinstance(error, OSError) and error.errno in _UNWRITABLE
-        return Receipt(work.shard, socket.gethostname(), error=traceback.format_exc(), store_is_unwritable=unwritable)
+        receipt = Receipt(work.shard, socket.gethostname(), error=traceback.format_exc(), store_is_unwritable=unwritable)
+    return replace(receipt, peak_memory=machine.peak_bytes())
+
+
+def device_of(name: str) -> str:
+    """Return the device that a name stands for: "auto" is a GPU if there is one. Imports torch."""
+    import torch
+
+    return ("cuda" if torch.cuda.is_available() else "cpu") if name == "auto" else name
 
 
 def _train_and_commit(work: Work, on_progress: Callable[[], None] | None) -> Receipt:
@@ -71,8 +96,9 @@ def _train_population(work: Work, on_step: Callable[[int], None]) -> tuple[Episo
     from agents.training import train
 
     torch.set_num_threads(work.threads)
-    device = ("cuda" if torch.cuda.is_available() else "cpu") if work.device == "auto" else work.device
-    origin = provenance.of_this_process(device, kernels.engine_name(device))  # before the training: the code may change meanwhile
+    device = device_of(work.device)
+    # before the training: the code may change meanwhile
+    origin = provenance.of_this_process(device, kernels.engine_name(device, work.tf32))
     trials, first = work.shard.trials, work.shard.trials[0]
     records = train(
         first.agent,
@@ -83,6 +109,7 @@ def _train_population(work: Work, on_step: Callable[[int], None]) -> tuple[Episo
         cutoff=first.cutoff,
         discount=first.discount,
         device=device,
+        tf32=work.tf32,
         evaluation=Evaluation(*first.evaluation) if first.evaluation else None,
         on_step=on_step,
     )

@@ -7,6 +7,7 @@ import importlib.util
 import json
 import os
 import sys
+from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,6 +17,7 @@ import typer
 from sweep.messages import UserError
 
 if TYPE_CHECKING:
+    from cluster.executor import Executor
     from cluster.launch import Summary
 
 app = typer.Typer(
@@ -55,6 +57,19 @@ class Format(StrEnum):
     parquet = "parquet"
 
 
+GridArgument = Annotated[str, typer.Argument(metavar="GRID", help="A grid file, or the name of a built-in study (quickstart).")]
+ExecutorOption = Annotated[ExecutorName, typer.Option(help="Where to train.")]
+AddressOption = Annotated[str | None, typer.Option(help="Address of a running Ray cluster; default: a Ray of its own.")]
+NumCpusOption = Annotated[int | None, typer.Option(min=1, help="Workers on this machine; default: all cores.")]
+ThreadsOption = Annotated[int, typer.Option(min=1, help="Threads a worker.")]
+DeviceOption = Annotated[Device, typer.Option(help="Where tensors live; auto takes a GPU if there is one.")]
+
+
+Tf32Option = Annotated[
+    bool, typer.Option("--tf32", help="On a GPU: faster, rounded matrix products.")
+]
+
+
 @app.callback()
 def _root() -> None:
     pass
@@ -62,13 +77,14 @@ def _root() -> None:
 
 @app.command()
 def launch(
-    grid: Annotated[str, typer.Argument(metavar="GRID", help="A grid file, or the name of a built-in study (quickstart).")],
+    grid: GridArgument,
     store: StoreOption = _DEFAULT_STORE,
-    executor: Annotated[ExecutorName, typer.Option(help="Where to train.")] = ExecutorName.ray,
-    address: Annotated[str | None, typer.Option(help="Address of a running Ray cluster; default: a Ray of its own.")] = None,
-    num_cpus: Annotated[int | None, typer.Option(min=1, help="Workers on this machine; default: all cores.")] = None,
-    threads: Annotated[int, typer.Option(min=1, help="Threads a worker.")] = 1,
-    device: Annotated[Device, typer.Option(help="Where tensors live; auto takes a GPU if there is one.")] = Device.cpu,
+    executor: ExecutorOption = ExecutorName.ray,
+    address: AddressOption = None,
+    num_cpus: NumCpusOption = None,
+    threads: ThreadsOption = 1,
+    device: DeviceOption = Device.cpu,
+    tf32: Tf32Option = False,
     limit: Annotated[int | None, typer.Option(min=1, help="Train at most so many trials, then stop.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
@@ -76,8 +92,9 @@ def launch(
     from rich.console import Console
 
     import cluster.launch
-    from cluster.executor import Executor, InProcessExecutor
     from cluster.progress import Progress
+    from cluster.worker import Training
+    from sweep.doctor import check_engine
     from sweep.grid import load
     from sweep.store import Store
     from sweep.tables import members_table
@@ -85,24 +102,9 @@ def launch(
 
     study = load(grid)
     trials = expand(study)
-    if address is not None:
-        if num_cpus is not None or executor is not ExecutorName.ray:
-            raise UserError("launch: --address is for a Ray cluster that runs already: leave out --num-cpus and --executor")
-        from cluster.ray_executor import check_address
-
-        check_address(address)
-    if executor is ExecutorName.ray and importlib.util.find_spec("ray") is None:  # said before anything is written
-        raise ModuleNotFoundError(name="ray")
-    console = Console(stderr=as_json)
-    progress = Progress(console)
-
-    def start() -> Executor:
-        if executor is ExecutorName.in_process:
-            return InProcessExecutor(progress.tick)
-        from cluster.ray_executor import RayExecutor
-
-        return RayExecutor(address, num_cpus)
-
+    check_engine(device.value)
+    progress = Progress(Console(stderr=as_json))
+    start = _executor_starter("launch", executor, address, num_cpus, progress.tick)
     if study.steps < min(trial.cutoff for trial in trials):
         typer.echo(
             "Trials are shorter than the cutoff: an episode that does not terminate by itself has no return to score.", err=True
@@ -110,7 +112,7 @@ def launch(
     opened = Store.create(store)
     dropped = opened.study_trials(study.name) - {trial.id for trial in trials}
     opened.write_study(study.name, study.text, members_table(study.name, "tune", trials))
-    training = cluster.launch.Training(device.value, threads, limit)
+    training = Training(device.value, threads, limit, tf32)
     summary = cluster.launch.launch(study.name, trials, opened, start, progress, training)
     if as_json:
         typer.echo(json.dumps(_summary_json(summary)))
@@ -129,6 +131,83 @@ def launch(
         raise typer.Exit(3)
 
 
+def _executor_starter(
+    command: str, executor: ExecutorName, address: str | None, num_cpus: int | None, on_progress: Callable[[], None] | None = None
+) -> "Callable[[], Executor]":
+    """Return what starts the executor that the options name. Raises for options that cannot be, before anything is written."""
+    from cluster.executor import Executor, InProcessExecutor
+
+    if address is not None:
+        if num_cpus is not None or executor is not ExecutorName.ray:
+            raise UserError(f"{command}: --address is for a Ray cluster that runs already: leave out --num-cpus and --executor")
+        from cluster.ray_executor import check_address
+
+        check_address(address)
+    if executor is ExecutorName.ray and importlib.util.find_spec("ray") is None:
+        raise ModuleNotFoundError(name="ray")
+
+    def start() -> Executor:
+        if executor is ExecutorName.in_process:
+            return InProcessExecutor(on_progress)
+        from cluster.ray_executor import RayExecutor
+
+        return RayExecutor(address, num_cpus)
+
+    return start
+
+
+@app.command()
+def plan(
+    grid: GridArgument,
+    store: StoreOption = _DEFAULT_STORE,
+    executor: ExecutorOption = ExecutorName.ray,
+    address: AddressOption = None,
+    num_cpus: NumCpusOption = None,
+    threads: ThreadsOption = 1,
+    device: DeviceOption = Device.cpu,
+    tf32: Tf32Option = False,
+    pilot: Annotated[bool, typer.Option("--pilot/--no-pilot", help="Measure rates, or take nominal ones.")] = True,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the plan as JSON.")] = False,
+) -> None:
+    """Say what a launch would do: trials, hours, memory, disk. Writes nothing to the store, which need not exist."""
+    from rich.console import Console
+
+    from cluster.planning import plan_launch, plan_nominally
+    from cluster.progress import Progress
+    from cluster.worker import Training
+    from sweep.doctor import check_engine
+    from sweep.grid import load
+    from sweep.plan_report import show
+    from sweep.trials import expand
+
+    study = load(grid)
+    trials = expand(study)
+    check_engine(device.value)
+    training = Training(device.value, threads, tf32=tf32)
+    if pilot:
+        start = _executor_starter("plan", executor, address, num_cpus)
+        found = plan_launch(study.name, trials, store, start, training, Progress(Console(stderr=True)))
+    else:
+        if address is not None:
+            raise UserError("plan: --no-pilot asks no cluster: leave out --address, and give its CPUs as --num-cpus")
+        slots = 1 if executor is ExecutorName.in_process else num_cpus or os.cpu_count() or 1
+        found = plan_nominally(study.name, trials, store, slots, training)
+    if as_json:
+        typer.echo(json.dumps(found.to_json()))
+    else:
+        show(found, Console())
+
+
+@app.command()
+def doctor(as_json: Annotated[bool, typer.Option("--json", help="Print what was found as JSON.")] = False) -> None:
+    """Say which engine trains and why, and what the machine and the installation are."""
+    from sweep.doctor import examine, lines
+
+    found = examine()
+    for line in [json.dumps(found)] if as_json else lines(found):
+        typer.echo(line)
+
+
 def _summary_json(summary: "Summary") -> dict[str, object]:
     return {
         "study": summary.study,
@@ -140,6 +219,7 @@ def _summary_json(summary: "Summary") -> dict[str, object]:
         "agent_steps": summary.agent_steps,
         "seconds": round(summary.seconds, 3),
         "agent_steps_per_second": round(summary.agent_steps_per_second, 1),
+        "peak_memory_bytes": summary.peak_memory,
     }
 
 

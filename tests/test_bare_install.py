@@ -144,6 +144,25 @@ def test_a_launch_without_ray_says_how_to_train_and_writes_nothing(tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["grid.toml"]
 
 
+def test_a_plan_needs_no_more_than_a_launch_and_without_a_pilot_no_ray(trained):
+    folder, _ = trained
+    for options, without in ((["--executor", "in-process"], EVERYTHING - LAUNCHING), (["--no-pilot"], EVERYTHING - LAUNCHING)):
+        ran = python(SWEEP, "plan", "grid.toml", "--store", "other", *options, cwd=folder, without=without)
+        assert (ran.returncode, ran.stderr) == (0, "")
+        assert f"{TRIALS} trials, 0 finished" in ran.stdout
+    ran = python(SWEEP, "plan", "grid.toml", "--store", "other", cwd=folder, without={"ray"})
+    assert (ran.returncode, ran.stdout) == (1, "")
+    assert ran.stderr == "error: ray is not installed here: pip install ray, or train in this process: --executor in-process\n"
+    assert not (folder / "other").exists()
+
+
+def test_a_doctor_examines_a_machine_where_nothing_but_the_command_line_is_installed(tmp_path):
+    ran = python(SWEEP, "doctor", cwd=tmp_path, without=EVERYTHING - {"typer", "pydantic", "rich"})
+    assert (ran.returncode, ran.stderr) == (0, "")
+    assert ran.stdout.startswith("engine ")
+    assert "none that torch can use" in ran.stdout
+
+
 @pytest.mark.parametrize(
     ("arguments", "missing"),
     [

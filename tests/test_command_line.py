@@ -1,5 +1,6 @@
 """The command as a user runs it: messages, exit codes, and nothing written when the input is bad."""
 
+import json
 import os
 import shutil
 import signal
@@ -9,6 +10,9 @@ import time
 from pathlib import Path
 
 import pytest
+import torch
+
+from agents import kernels
 
 GRID = """
 [study]
@@ -58,11 +62,102 @@ def test_launching_again_says_that_there_is_nothing_to_do(finished):
     assert (ran.returncode, ran.stdout) == (0, "tiny: all 8 trials are finished; nothing to do.\n")
 
 
-def test_launch_can_report_as_json(finished):
-    import json
-
+def test_launch_can_report_as_json(finished, tmp_path):
     answer = json.loads(sweep("launch", "grid.toml", "--json", cwd=finished).stdout)
-    assert (answer["trials"], answer["finished"], answer["trained"]) == (8, 8, 0)
+    assert (answer["trials"], answer["finished"], answer["trained"], answer["peak_memory_bytes"]) == (8, 8, 0, 0)
+    (tmp_path / "grid.toml").write_text(GRID)
+    answer = json.loads(sweep("launch", "grid.toml", "--json", "--executor", "in-process", cwd=tmp_path).stdout)
+    assert answer["trained"] == 8
+    assert 100e6 < answer["peak_memory_bytes"] < 4e9
+
+
+def snapshot(folder):
+    return {file: (file.stat().st_mtime_ns, file.is_file() and file.read_bytes()) for file in folder.rglob("*")}
+
+
+CONTRACT = {"trials", "finished", "missing", "steps", "core_hours", "bytes"}
+ADDITIONS = {"memory_bytes", "machine_memory_bytes", "groups", "hours", "engine"}
+
+
+def test_a_plan_measures_says_what_a_launch_would_do_and_writes_nothing(tmp_path):
+    (tmp_path / "grid.toml").write_text(GRID)
+    ran = sweep("plan", "grid.toml", "--executor", "in-process", "--json", cwd=tmp_path)
+    assert ran.returncode == 0, ran.stderr
+    found = json.loads(ran.stdout)
+    assert set(found) >= CONTRACT | ADDITIONS
+    assert (found["trials"], found["finished"], found["missing"], found["steps"]) == (8, 0, 8, 480)
+    (group,) = found["groups"]
+    assert group["rate"].startswith("measured in ")
+    assert found["core_hours"] == pytest.approx(480 / group["agent_steps_per_second"] / 3600, abs=1e-4)
+    assert 100e6 < found["memory_bytes"] == found["machine_memory_bytes"] < 4e9
+    assert [file.name for file in tmp_path.iterdir()] == ["grid.toml"]
+    again = json.loads(sweep("plan", "grid.toml", "--executor", "in-process", "--json", cwd=tmp_path).stdout)
+    assert again["groups"][0]["rate"] == "measured before"
+    assert again["groups"][0]["agent_steps_per_second"] == group["agent_steps_per_second"]
+
+
+def test_a_plan_under_ray_is_for_its_slots(tmp_path):
+    (tmp_path / "grid.toml").write_text(GRID)
+    found = json.loads(sweep("plan", "grid.toml", "--num-cpus", "2", "--json", cwd=tmp_path).stdout)
+    assert (found["slots"], found["shards"], found["groups"][0]["population"]) == (2, 2, 4)
+    assert found["machine_memory_bytes"] == 2 * found["memory_bytes"]
+    assert [file.name for file in tmp_path.iterdir()] == ["grid.toml"]
+
+
+def test_a_plan_counts_what_is_finished_and_leaves_the_store_as_it_is(finished, tmp_path):
+    shutil.copytree(finished / "results", tmp_path / "results")
+    (tmp_path / "grid.toml").write_text(GRID.replace("tune = 2", "tune = 5"))
+    before = snapshot(tmp_path)
+    ran = sweep("plan", "grid.toml", "--no-pilot", "--num-cpus", "3", cwd=tmp_path)
+    assert (ran.returncode, ran.stderr) == (0, "")
+    assert "tiny: 20 trials, 8 finished, 12 missing: 720 agent-steps in 3 shards on 3 workers, engine " in ran.stdout
+    assert "Nominal rates are guesses" in ran.stdout
+    assert "\x1b" not in ran.stdout
+    ran = sweep("plan", str(finished / "grid.toml"), cwd=tmp_path)
+    assert ran.stdout == "tiny: all 8 trials are finished; nothing to do.\n"
+    assert snapshot(tmp_path) == before
+
+
+@pytest.mark.parametrize("store", ["nowhere", "empty"])
+def test_a_plan_takes_a_store_that_is_not_there_for_an_empty_one(tmp_path, store):
+    (tmp_path / "grid.toml").write_text(GRID)
+    (tmp_path / "empty").mkdir()
+    ran = sweep("plan", "grid.toml", "--store", store, "--no-pilot", cwd=tmp_path)
+    assert (ran.returncode, ran.stderr) == (0, "")
+    assert "8 trials, 0 finished, 8 missing" in ran.stdout
+    assert sorted(file.name for file in tmp_path.rglob("*")) == ["empty", "grid.toml"]
+
+
+def test_a_doctor_says_which_engine_trains_and_what_is_installed(tmp_path):
+    found = json.loads(sweep("doctor", "--json", cwd=tmp_path).stdout)
+    assert found["engine"] == kernels.engine_name("cpu")
+    assert found["cores"] == os.cpu_count()
+    assert found["versions"]["torch"] == torch.__version__
+    assert set(found["versions"]) >= {"python", "sweep", "torch", "numpy", "ray", "duckdb", "pyarrow", "gymnasium"}
+    assert found["calibrations"] == os.path.join(os.environ["XDG_CACHE_HOME"], "sweep", "calibrations.json")
+    shown = sweep("doctor", cwd=tmp_path).stdout
+    for told in (
+        found["engine"],
+        found["engine_reason"],
+        found["processor"],
+        found["versions"]["pyarrow"],
+        found["calibrations"],
+    ):
+        assert told in shown
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "command", [["launch", "grid.toml"], ["plan", "grid.toml"], ["plan", "grid.toml", "--no-pilot"], ["doctor"]]
+)
+def test_an_engine_that_does_not_exist_is_one_message_before_anything_is_written(tmp_path, monkeypatch, command):
+    (tmp_path / "grid.toml").write_text(GRID)
+    monkeypatch.setenv("SWEEP_ENGINE", "fortran")
+    ran = sweep(*command, cwd=tmp_path)
+    assert (ran.returncode, ran.stdout) == (1, "")
+    (message,) = ran.stderr.splitlines()
+    assert message.startswith("error: SWEEP_ENGINE = fortran: must be one of auto, native, torch")
+    assert [file.name for file in tmp_path.iterdir()] == ["grid.toml"]
 
 
 def test_figure_7_1_is_drawn(finished):
@@ -84,10 +179,11 @@ BAD_GRIDS = [
 @pytest.mark.parametrize(("edit", "message"), BAD_GRIDS)
 def test_a_bad_grid_is_refused_with_exit_code_1_and_nothing_is_written(tmp_path, edit, message):
     (tmp_path / "grid.toml").write_text(GRID.replace(*edit))
-    ran = sweep("launch", "grid.toml", cwd=tmp_path)
-    assert ran.returncode == 1
-    assert message in ran.stderr
-    assert "Traceback" not in ran.stderr
+    for command in ("launch", "plan"):
+        ran = sweep(command, "grid.toml", cwd=tmp_path)
+        assert ran.returncode == 1
+        assert message in ran.stderr
+        assert "Traceback" not in ran.stderr
     assert [file.name for file in tmp_path.iterdir()] == ["grid.toml"]
 
 
@@ -95,7 +191,7 @@ def test_a_folder_that_is_not_a_store_is_refused_by_every_command(tmp_path):
     (tmp_path / "grid.toml").write_text(GRID)
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "notes.txt").write_text("mine")
-    for command in (["launch", "grid.toml"], ["sql", "SELECT 1"], ["analyze", "--figure", "7.1"]):
+    for command in (["launch", "grid.toml"], ["plan", "grid.toml"], ["sql", "SELECT 1"], ["analyze", "--figure", "7.1"]):
         ran = sweep(*command, "--store", "mine", cwd=tmp_path)
         assert (ran.returncode, ran.stdout) == (1, "")
         assert ran.stderr == "error: mine: is not a store: it has no readable sweep-store.json\n"
@@ -126,6 +222,11 @@ def test_sql_that_cannot_be_answered_is_a_message_and_exit_code_1(finished, quer
         (["launch", "grid.toml", "--executor", "slurm"], "'slurm' is not one of 'ray', 'in-process'"),
         (["launch", "nowhere.toml"], "nowhere.toml: no such grid file"),
         (["lanch"], "lanch"),
+        (["plan"], "Missing argument"),
+        (["plan", "nowhere.toml"], "nowhere.toml: no such grid file"),
+        (["plan", "grid.toml", "--address", "127.0.0.1:1"], "no Ray cluster answers there"),
+        (["plan", "grid.toml", "--address", "127.0.0.1:1", "--num-cpus", "2"], "plan: --address is for a Ray cluster"),
+        (["plan", "grid.toml", "--address", "127.0.0.1:1", "--no-pilot"], "plan: --no-pilot asks no cluster"),
         (["analyze"], "say which figure"),
         (["analyze", "--figure", "9.9"], "9.9"),
         (["analyze", "--figure", "7.1", "--format", "bmp"], "bmp"),
@@ -204,7 +305,12 @@ def test_what_the_system_refuses_is_a_message_too(finished, tmp_path):
     shutil.copytree(finished / "results", tmp_path / "results")
     (file,) = list(tmp_path.glob("results/shards/*/trials.parquet"))[:1]
     file.write_bytes(file.read_bytes()[:100])
-    for command in (["launch", str(finished / "grid.toml")], ["analyze", "--figure", "7.1"], ["sql", "FROM trials"]):
+    for command in (
+        ["launch", str(finished / "grid.toml")],
+        ["plan", str(finished / "grid.toml")],
+        ["analyze", "--figure", "7.1"],
+        ["sql", "FROM trials"],
+    ):
         ran = sweep(*command, cwd=tmp_path)
         assert ran.returncode == 1
         assert "trials.parquet" in ran.stderr

@@ -1,8 +1,11 @@
 import io
 import json
 import os
+import re
 import time
 
+import pyarrow.parquet as pq
+import pytest
 from rich.console import Console
 
 import cluster.worker
@@ -161,6 +164,84 @@ def test_on_a_terminal_progress_is_a_live_bar(tmp_path):
     assert "100%" in output.getvalue()
     assert "agent-steps/s" in output.getvalue()
     assert "left" in output.getvalue()
+
+
+def test_a_study_of_minutes_starts_no_pilot_and_says_nothing_of_it(tmp_path, monkeypatch):
+    pilots = []
+    monkeypatch.setattr("cluster.calibration.run_pilot", pilots.append)
+    summary, output = run(Store.create(tmp_path))
+    assert summary.trained == 8
+    assert pilots == []
+    assert "populations of" not in output
+
+
+@pytest.fixture
+def _worth_a_pilot(monkeypatch, tmp_path_factory):
+    """Every study is calibrated, in a moment, and nothing was measured before."""
+    monkeypatch.setattr("cluster.calibration.WORTH_SECONDS", 0.0)
+    monkeypatch.setattr("cluster.calibration._SIZES", (16, 32))
+    monkeypatch.setattr("cluster.pilot._MEASURED_SECONDS", 0.01)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+
+
+def results(store):
+    files = sorted(store.path.glob("shards/*/trials.parquet"))
+    rows = [row for file in files for row in pq.read_table(file, partitioning=None).to_pylist()]
+    return {row["trial"]: (row["episode_mean"], row["episodes"]) for row in rows}
+
+
+@pytest.mark.usefixtures("_worth_a_pilot")
+def test_a_long_study_is_calibrated_with_a_line_for_each_group_and_no_other_result(tmp_path):
+    calibrated, plain = Store.create(tmp_path / "calibrated"), Store.create(tmp_path / "plain")
+    summary, output = run(calibrated)
+    assert summary.trained == 8
+    sac, greedy, training, *_ = output.splitlines()
+    assert re.fullmatch(r"SAC on Pendulum-CA: populations of 4, [\d,]+ agent-steps/s a worker \(measured in \d+ s\)", sac)
+    assert greedy.startswith("GreedyAC on Pendulum-CA: populations of 4, ")
+    assert training.startswith("tiny: training 8 trials")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("cluster.calibration.WORTH_SECONDS", 1e9)
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path / "nothing"))
+        run(plain)
+    assert results(calibrated) == results(plain) != {}
+
+
+@pytest.mark.usefixtures("_worth_a_pilot")
+def test_users_code_that_fails_in_the_pilot_is_reported_by_the_training_and_harms_no_other(tmp_path, monkeypatch):
+    monkeypatch.setattr("agents.algorithms.sac.SAC.update", lambda *arguments: 1 / 0)
+    store = Store.create(tmp_path)
+    summary, output = run(store)
+    assert (summary.trained, summary.failed) == (4, 4)
+    assert "SAC on Pendulum-CA: populations of 4, not measured (the pilot failed: division by zero)" in output
+    (failure,) = [json.loads(file.read_text()) for file in (tmp_path / "failures").iterdir()]
+    assert "ZeroDivisionError" in failure["error"]
+
+
+@pytest.mark.usefixtures("_worth_a_pilot")
+def test_an_interrupt_in_the_pilot_stops_the_launch_and_closes_the_executor(tmp_path, monkeypatch):
+    closed = []
+
+    class Interrupted(InProcessExecutor):
+        def gather(self, function, argument, copies):
+            raise KeyboardInterrupt
+
+        def close(self):
+            closed.append(True)
+
+    summary, _ = run(Store.create(tmp_path), start=Interrupted)
+    assert (summary.interrupted, summary.trained, closed) == (True, 0, [True])
+
+
+def test_the_peak_memory_of_the_workers_is_reported_whether_shards_fail_or_not(tmp_path, monkeypatch):
+    import torch  # what a worker has in memory at the least
+
+    store = Store.create(tmp_path)
+    monkeypatch.setattr(cluster.worker, "shard_tables", lambda *arguments: 1 / 0)
+    assert run(store)[0].peak_memory > 100e6
+    monkeypatch.undo()
+    ballast = torch.ones(50_000_000)  # 200 MB
+    with_ballast = run(store)[0].peak_memory
+    assert with_ballast > ballast.nbytes + 100e6
 
 
 def test_an_interrupt_keeps_what_is_finished_and_closes_the_executor(tmp_path):

@@ -12,9 +12,11 @@ import pyarrow.parquet as pq
 import pytest
 from rich.console import Console
 
+from cluster.calibration import calibrate
 from cluster.executor import InProcessExecutor
 from cluster.launch import launch
 from cluster.progress import Progress
+from cluster.worker import Training
 from sweep.grid import parse
 from sweep.messages import UserError
 from sweep.store import Store
@@ -73,6 +75,35 @@ def test_ray_and_one_process_give_the_same_rows(tmp_path):
     assert os.environ["RAY_USAGE_STATS_ENABLED"] == "0"
     token = Path.home() / ".ray" / "auth_token"
     assert not token.exists() or token.stat().st_mode & 0o077 == 0
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
+def test_a_function_runs_in_several_workers_at_once_and_what_it_raises_is_raised_here(tmp_path, monkeypatch):
+    def meet(count):
+        """Return this worker's number when `count` workers are here at once."""
+        (tmp_path / str(os.getpid())).touch()
+        deadline = time.monotonic() + 60
+        while len(list(tmp_path.iterdir())) < count and time.monotonic() < deadline:
+            time.sleep(0.05)
+        return os.getpid()
+
+    executor = start_ray()
+    try:
+        assert (executor.slots, executor.slots_on_a_machine) == (2, 2)
+        workers = executor.gather(meet, 2, 2)
+        assert len({*workers, os.getpid()}) == 3
+        with pytest.raises(ZeroDivisionError):
+            executor.gather(lambda number: 1 // number, 0, 2)
+        monkeypatch.setattr("cluster.calibration._SIZES", (16,))
+        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+        study = parse(GRID.format(steps=60), "grid.toml")
+        known = calibrate(expand(study), executor, Training(), whatever_the_size=True)
+        assert [group.environment for group in known.groups] == ["Pendulum-CA", "MountainCar-CA"]
+        for calibrated in known.groups.values():
+            assert calibrated.calibration.rates[16] > 0
+            assert calibrated.calibration.base_bytes > 100e6
+    finally:
+        executor.close()
 
 
 @pytest.mark.parametrize(
