@@ -34,7 +34,7 @@ class Training:
 
 @dataclass(frozen=True)
 class Work:
-    """A shard, the store that its rows go to, and how it is to be trained: on `device` (auto, cpu, cuda), with `threads`, `tf32`."""
+    """A shard, the store that its rows go to, and how it is to be trained: `device`, `threads` and `tf32` as of `Training`."""
 
     shard: Shard
     store: str

@@ -286,3 +286,18 @@ def test_without_a_terminal_progress_is_plain_lines(tmp_path, monkeypatch):
     assert first.startswith("tiny: training 8 trials (480 agent-steps) in ")
     assert lines[-1].startswith("8 of 8 trials finished · 100% of the steps · ")
     assert "\x1b" not in output
+
+
+@pytest.mark.parametrize("tf32", [False, True])
+def test_whether_a_gpu_may_round_reaches_the_training(tmp_path, monkeypatch, tf32):
+    import agents.training
+
+    train, asked = agents.training.train, []
+
+    def spy(*arguments, **options):
+        asked.append(options["tf32"])
+        return train(*arguments, **options)
+
+    monkeypatch.setattr(agents.training, "train", spy)
+    run(Store.create(tmp_path / "store"), training=Training(tf32=tf32))
+    assert asked and set(asked) == {tf32}
