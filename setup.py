@@ -30,7 +30,11 @@ class BuildKernels(build_ext):
     """Compiles the source once a variant, and `dispatch.cpp` with the names of those that compiled."""
 
     def build_extension(self, ext: Extension) -> None:
-        """Build the library, or say why it is left out."""
+        """Build the library, or say why it is left out: then none that was built before stays in its place."""
+        name = Path(self.get_ext_fullpath(ext.name)).name
+        Path(self.get_ext_fullpath(ext.name)).unlink(missing_ok=True)
+        if self.editable_mode:
+            (SOURCE.parent / name).unlink(missing_ok=True)
         if os.environ.get("SWEEP_NO_NATIVE"):
             return self.warn("native kernels left out: SWEEP_NO_NATIVE is set")
         objects, built = [], []

@@ -31,7 +31,7 @@ class Algorithm(Protocol):
     def __init__(self, population: Population, task: Task, stream: RandomStream) -> None: ...
 
     def act(self, observations: Tensor, step: int) -> Tensor:
-        """Return the actions [P, A] for observations [P, S] at this step."""
+        """Return the actions [P, A] for observations [P, S] at this step; captured steps overwrite the observations later."""
         ...
 
     def act_deterministically(self, observations: Tensor) -> Tensor:

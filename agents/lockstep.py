@@ -104,8 +104,11 @@ class LockStep:
             states = torch.where(ended[:, None], self.world.start(self.stream, step, ended), states)
             observations = self.world.observe(states)
             self.elapsed.masked_fill_(ended, 0)
-        self.states.copy_(states)
-        self.observations.copy_(observations)
+        if self._on_device:
+            self.states.copy_(states)
+            self.observations.copy_(observations)
+        else:
+            self.states, self.observations = states, observations
 
 
 def standstill(space: ActionSpace, device: torch.device) -> Tensor:

@@ -93,10 +93,12 @@ class PopulationMLP:
 
     def forward(self, x: Tensor) -> Tensor:
         """Return the outputs [P, B, out] for inputs [P, B, in]. The result is overwritten by the next call of that batch size."""
+        self._check(x, self.layout.inputs)
         return self._arithmetic.forward(x)
 
     def forward_for_gradient(self, x: Tensor) -> tuple[Tensor, "Activations"]:
         """Return the outputs [P, B, out] and what `backward` needs; both are valid until the next call of that batch size."""
+        self._check(x, self.layout.inputs)
         return self._arithmetic.forward_for_gradient(x)
 
     def backward(
@@ -106,6 +108,7 @@ class PopulationMLP:
 
         Writes ∂L/∂parameters to `gradient` unless `parameters` is False; returns ∂L/∂inputs [P, B, in] if `inputs`.
         """
+        self._check(output_gradient, self.layout.outputs)
         return self._arithmetic.backward(kept, output_gradient, self.gradient if parameters else None, inputs)
 
     def descend(self, kept: "Activations", output_gradient: Tensor, optimizer: "PopulationAdam") -> None:
@@ -113,6 +116,7 @@ class PopulationMLP:
 
         `optimizer` is that of these parameters; `gradient` is left alone.
         """
+        self._check(output_gradient, self.layout.outputs)
         self._arithmetic.descend(kept, output_gradient, optimizer)
 
     def values_of_actions(self, states: Tensor, actions: Tensor) -> Tensor:
@@ -120,7 +124,17 @@ class PopulationMLP:
 
         The state's part of the first layer is computed once a state, not once an action.
         """
+        self._check(states, self.layout.inputs - actions.shape[3])
+        self._check(actions[:, :, 0], actions.shape[3])
+        if actions.shape[1] != states.shape[1]:
+            raise ValueError(f"actions {tuple(actions.shape)} for states {tuple(states.shape)}")
         return self._arithmetic.values_of_actions(states, actions)
+
+    def _check(self, x: Tensor, width: int) -> None:
+        """Refuse what the kernels, which see a pointer only, would misread."""
+        if x.dtype != torch.float32 or x.dim() != 3 or x.shape[0] != len(self.parameters) or x.shape[2] != width:
+            expected = f"[{len(self.parameters)}, B, {width}]"
+            raise ValueError(f"a tensor {tuple(x.shape)} of {x.dtype}: must be {expected} of torch.float32")
 
 
 def polyak_average_(target: Tensor, online: Tensor, weight: Tensor) -> None:
@@ -130,4 +144,7 @@ def polyak_average_(target: Tensor, online: Tensor, weight: Tensor) -> None:
         target.add_((online - target).mul_(weight))
         return
     P, n = target.shape
+    if online.shape != target.shape or not (target.is_contiguous() and online.is_contiguous()):
+        raise ValueError(f"parameters {tuple(online.shape)} for a target {tuple(target.shape)}: both must be dense, and alike")
+    weight = weight.to(torch.float32).expand(P, 1).contiguous()
     native.polyak(P, n, target.data_ptr(), online.data_ptr(), weight.data_ptr())

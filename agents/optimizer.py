@@ -35,7 +35,9 @@ class PopulationAdam:
         return 1 - _DECAY_1**self.num_steps, 1 / math.sqrt(1 - _DECAY_2**self.num_steps)
 
     def step_(self, gradient: Tensor) -> None:
-        """Update the parameters with ∂L/∂parameters [P, n]."""
+        """Update the parameters with ∂L/∂parameters [P, n]. Raises ValueError for a gradient of another shape or type."""
+        if gradient.shape != self.parameters.shape or gradient.dtype != self.parameters.dtype:
+            raise ValueError(f"a gradient {tuple(gradient.shape)} of {gradient.dtype} for {tuple(self.parameters.shape)}")
         if self._native is not None:
             P, n = self.parameters.shape
             pointers = (self.parameters, gradient.contiguous(), self.first_moment, self.second_moment, self.step_sizes)

@@ -91,7 +91,7 @@ class RandomStream:
         return torch.stack([word.expand(shape[0], num_steps, groups * _LANES).view(shape) for word in words], dim=3)
 
     def uniforms(self, purpose: int, step: int, count: int) -> Tensor:
-        """Return float32 [P, count], uniform on the open interval (0, 1), 2^24 equally spaced values."""
+        """Return float32 [P, count], uniform on (0, 1]: at most 2^24 values, of which 1 is the rarest (rounding)."""
         if self._native is not None:
             return self._drawn(self._native.uniforms, purpose, step, count)
         return self._at(step, "uniform", purpose, count)

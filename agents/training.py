@@ -95,14 +95,16 @@ def _make(
     device, stream = population.device, population.stream()
     algorithm = entry.load()
     # An environment that keeps its own state is Python: it cannot be captured, nor can an algorithm that does not say it can.
-    capturable = not known.keeps_state and getattr(algorithm, "capturable", False)
+    # Nor can a subclass of one that can, unless it says so itself.
+    capturable = not known.keeps_state and vars(algorithm).get("capturable", False)
     counts_on_device = capturable and kernels.library(device.type) is None
     clock = Clock(device if counts_on_device else None)
-    stream.follow(clock)
     task = Task(world.observation_size, world.actions, discount)
     capacity = min(population.shared.replay_capacity, steps)
+    agents = algorithm(population, task, stream)
+    stream.follow(clock)  # from now on: what is drawn once, such as initial weights, is not drawn for every step
     return LockStep(
-        algorithm(population, task, stream),
+        agents,
         world,
         stream,
         Replay(len(population), capacity, task.observation_size, task.actions.size, device, clock),

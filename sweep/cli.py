@@ -65,9 +65,7 @@ ThreadsOption = Annotated[int, typer.Option(min=1, help="Threads a worker.")]
 DeviceOption = Annotated[Device, typer.Option(help="Where tensors live; auto takes a GPU if there is one.")]
 
 
-Tf32Option = Annotated[
-    bool, typer.Option("--tf32", help="On a GPU: faster, rounded matrix products.")
-]
+Tf32Option = Annotated[bool, typer.Option("--tf32", help="On a GPU: faster, rounded matrix products.")]
 
 
 @app.callback()

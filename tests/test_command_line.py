@@ -79,7 +79,8 @@ CONTRACT = {"trials", "finished", "missing", "steps", "core_hours", "bytes"}
 ADDITIONS = {"memory_bytes", "machine_memory_bytes", "groups", "hours", "engine"}
 
 
-def test_a_plan_measures_says_what_a_launch_would_do_and_writes_nothing(tmp_path):
+def test_a_plan_measures_says_what_a_launch_would_do_and_writes_nothing(tmp_path, tmp_path_factory, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("nothing-measured-yet")))
     (tmp_path / "grid.toml").write_text(GRID)
     ran = sweep("plan", "grid.toml", "--executor", "in-process", "--json", cwd=tmp_path)
     assert ran.returncode == 0, ran.stderr

@@ -37,18 +37,19 @@ def library(device: str) -> Library | None:
     """Return the native kernels if they serve this type of device ("cpu", "cuda"), else None: then PyTorch does the arithmetic.
 
     The environment variable SWEEP_ENGINE asks for "native", "torch", "auto" (default) or a variant such as "native-avx2".
-    Raises EngineError when it asks for what cannot be had.
+    It concerns the CPU: a GPU has the torch engine whatever it says. Raises EngineError when it asks for what cannot be had.
     """
-    wanted, _, variant = (_chosen[-1] if _chosen else os.environ.get(VARIABLE) or "auto").partition("-")
+    asked = _chosen[-1] if _chosen else os.environ.get(VARIABLE) or "auto"
+    wanted, _, variant = asked.partition("-")
     if wanted not in CHOICES or (variant and wanted != "native"):
-        raise EngineError(f"{VARIABLE} = {wanted}: must be one of {', '.join(CHOICES)}, or a variant such as native-avx2")
+        raise EngineError(f"{VARIABLE} = {asked}: must be one of {', '.join(CHOICES)}, or a variant such as native-avx2")
     if wanted == "torch" or device != "cpu":
         return None
     try:
         return load(variant or None)
     except NotAvailableError as error:
         if wanted == "native":
-            raise EngineError(f"{VARIABLE} = native: {error}") from error
+            raise EngineError(f"{VARIABLE} = {asked}: {error}") from error
         return None
 
 
@@ -75,7 +76,7 @@ def report() -> Report:
 
 @contextlib.contextmanager
 def using(engine: str) -> Iterator[None]:
-    """Ask for an engine within a block, whatever SWEEP_ENGINE says: what is made there keeps it."""
+    """Ask for an engine within a block, whatever SWEEP_ENGINE says; networks, optimizers and streams made there keep it."""
     _chosen.append(engine)
     try:
         yield

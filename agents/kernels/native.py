@@ -2,12 +2,14 @@
 
 import ctypes
 import functools
+import sysconfig
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from agents.kernels.layout import Layout
 
+INTERFACE_VERSION = 1  # that of src/dispatch.cpp
 _INT, _LONG, _WORD, _FLOAT, _POINTER = ctypes.c_int, ctypes.c_int64, ctypes.c_uint32, ctypes.c_float, ctypes.c_void_p
 _ROWS = (_POINTER, _LONG, _LONG)  # data, floats from one agent to the next, from one row to the next
 _SIGNATURES: dict[str, tuple[Any, ...]] = {
@@ -86,17 +88,24 @@ class Library:
         self.scratch_size.argtypes, self.scratch_size.restype = (_POINTER, _LONG), _LONG  # type: ignore[attr-defined]
 
 
+def library_file() -> Path:
+    """Return where the library is, if it was compiled: by this version of Python, as its name says."""
+    return Path(__file__).parent / f"_native{sysconfig.get_config_var('EXT_SUFFIX')}"
+
+
 @functools.cache
 def load(variant: str | None = None) -> Library:
     """Return the kernels in the best variant that this processor can run, or in the one that is named.
 
     Raises NotAvailableError when they were not compiled, cannot be loaded, or this processor lacks the instructions.
     """
-    found = sorted(Path(__file__).parent.glob("_native*.so"))
-    if not found:
+    file = library_file()
+    if not file.exists():
         raise NotAvailableError("the native kernels were not compiled when this package was installed (no C++ compiler?)")
     try:
-        loaded = ctypes.CDLL(str(found[0]))
+        loaded = ctypes.CDLL(str(file))
+        if loaded.interface_version() != INTERFACE_VERSION:
+            raise NotAvailableError("the native kernels are those of another version of this package: install it again")
         loaded.best_variant.restype = loaded.compiled_variants.restype = ctypes.c_char_p
         best = loaded.best_variant().decode()
         compiled = tuple(loaded.compiled_variants().decode().split())
@@ -109,4 +118,4 @@ def load(variant: str | None = None) -> Library:
         raise NotAvailableError(
             f"there is no variant {variant} of the native kernels for this processor, only {', '.join(runnable)}"
         )
-    return Library(found[0], loaded, variant or best, compiled)
+    return Library(file, loaded, variant or best, compiled)

@@ -21,7 +21,7 @@ from agents.optimizer import PopulationAdam
 from agents.rng import Purpose, RandomStream
 
 ROOT = Path(__file__).parents[2]
-pytestmark = pytest.mark.skipif(not sorted(Path(native.__file__).parent.glob("_native*.so")), reason="no native kernels here")
+pytestmark = pytest.mark.skipif(not native.library_file().exists(), reason="no native kernels here")
 
 P = 3
 GOLDEN = "21fe09a4fa83f1ae"  # of `everything`
@@ -280,6 +280,36 @@ def test_tf32_is_off_unless_asked_for_and_recorded():
     assert not torch.backends.cuda.matmul.allow_tf32
     assert [kernels.engine_name("cuda", tf32) for tf32 in (False, True)] == ["torch", "torch-tf32"]
     assert kernels.engine_name("cpu", True) == kernels.engine_name("cpu")
+
+
+def test_a_library_of_another_version_is_not_used(monkeypatch):
+    monkeypatch.setattr(native, "INTERFACE_VERSION", 0)
+    with pytest.raises(native.NotAvailableError, match="another version of this package"):
+        native.load.__wrapped__()
+
+
+def test_tensors_that_a_kernel_would_misread_are_refused(engine):
+    made, _ = network(3, (8,), (2,))
+    x = torch.zeros(P, 4, 3)
+    for wrong in (x[:2], x[..., :2], x.double(), x[0]):
+        with pytest.raises(ValueError, match=r"must be \[3, B, 3\] of torch.float32"):
+            made.forward(wrong)
+    _, kept = made.forward_for_gradient(x)
+    optimizer = PopulationAdam(made.parameters, torch.ones(P))
+    with pytest.raises(ValueError, match=r"must be \[3, B, 2\]"):
+        made.descend(kept, torch.zeros(P, 4, 1), optimizer)
+    with pytest.raises(ValueError, match="for states"):
+        made.values_of_actions(torch.zeros(P, 4, 2), torch.zeros(P, 5, 7, 1))
+    with pytest.raises(ValueError, match="a gradient"):
+        optimizer.step_(torch.zeros(P, 3))
+    with pytest.raises(ValueError, match="must be dense, and alike"):
+        polyak_average_(made.parameters, made.parameters[:, :5], torch.ones(P, 1))
+
+
+def test_a_polyak_weight_may_be_one_number_for_all(engine):
+    target, online = torch.zeros(P, 20), torch.ones(P, 20)
+    polyak_average_(target, online, torch.tensor(0.25))
+    assert torch.equal(target, torch.full((P, 20), 0.25))
 
 
 def test_the_environment_variable_selects_the_engine():

@@ -10,6 +10,7 @@ from agents.networks import PopulationMLP
 from agents.optimizer import PopulationAdam
 from agents.population import padded
 from agents.registry import ALGORITHMS, ENVIRONMENTS, find_algorithm
+from agents.rng import Purpose
 from agents.training import _make
 
 PAIRS = [
@@ -119,6 +120,25 @@ def test_every_built_in_algorithm_can_be_captured_and_an_unknown_one_is_not():
     with kernels.using("torch"), pytest.MonkeyPatch.context() as patch:
         patch.setattr(ALGORITHMS["SAC"].load(), "capturable", False)
         assert lockstep("SAC", "Pendulum-CA", SACHypers()).clock.tensor is None
+
+
+def test_a_subclass_is_captured_only_if_it_says_so_itself(monkeypatch):
+    class Scheduled(ALGORITHMS["SAC"].load()):
+        def update(self, batch, step):
+            return super().update(batch, min(step, 1000))
+
+    monkeypatch.setattr(type(ALGORITHMS["SAC"]), "load", lambda self: Scheduled)
+    with kernels.using("torch"):
+        assert lockstep("SAC", "Pendulum-CA", SACHypers()).clock.tensor is None
+
+
+def test_numbers_that_are_drawn_once_are_not_drawn_for_every_step():
+    with kernels.using("torch"), torch.no_grad():
+        run = lockstep("SAC", "Pendulum-CA", SACHypers(**SMALL))
+        for _ in range(20):
+            run.run()
+    purposes = {purpose for _, purpose, _ in run.stream._followed}
+    assert purposes == {Purpose.START_STATE, Purpose.ACTION, Purpose.MINIBATCH, Purpose.NEXT_ACTION, Purpose.POLICY_UPDATE}
 
 
 def test_the_native_engine_counts_on_the_host():

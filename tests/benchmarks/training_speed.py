@@ -92,6 +92,9 @@ class PopulationLoop:
         repeats = -(-CAPACITY // WARM_UP)
         replay.rows.copy_(replay.rows[:, :WARM_UP].repeat(1, repeats, 1)[:, :CAPACITY])
         replay.num_added = CAPACITY
+        if (clock := self.lockstep.clock).tensor is not None:  # the torch engine reads the size from the clock
+            clock.tensor += CAPACITY
+            clock.number += CAPACITY
 
     def step(self):
         self.lockstep.run()

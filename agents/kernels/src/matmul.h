@@ -35,7 +35,7 @@ INLINE void panel(const float *a, int64_t row, int64_t step, int rows, int count
                   const float *bias, float *out, int64_t out_stride, Ahead &ahead) {
   int tiles = (rows + TILE_ROWS - 1) / TILE_ROWS, from = 0;
   for (int t = 1; t <= tiles; t++) {
-    int to = rows * t / tiles;
+    int to = (int)((int64_t)rows * t / tiles);
     const float *top = a + from * row;
     float *result = out + from * out_stride;
     switch (to - from) {

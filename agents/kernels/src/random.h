@@ -38,7 +38,7 @@ INLINE Floats square_root(Floats x) {
   return x;
 }
 
-// On the open interval (0, 1): of 2^24 equally spaced numbers.
+// On (0, 1], at most 2^24 numbers; the largest rounds to 1.
 INLINE Floats open_uniform(const uint32_t *words) {
   Uints x;
   memcpy(&x, words, sizeof x);

@@ -1,7 +1,8 @@
 // The values of many actions in each state, and the actions of highest value.
 //
 // The state's part of the first layer is computed once a state; rows go through the layers in groups of six; and hidden units that
-// are zero in a whole group are skipped, which changes no bit: they would add 0. The last layer is fused into the one before.
+// are zero in a whole group are skipped, which changes no bit of a finite result: they would add 0. The last layer is fused into
+// the one before.
 #pragma once
 #include "forward.h"
 
