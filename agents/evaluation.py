@@ -5,6 +5,7 @@ They run in an environment of their own, from start states of their own random s
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -68,6 +69,14 @@ class Evaluator:
         total = torch.where(healthy, total, torch.nan)
         ending = torch.where(terminated, ENDINGS.index("terminated"), ENDINGS.index("truncated"))
         return [x.cpu().numpy() for x in (total, length, ending)]
+
+    def state_for_checkpoint(self) -> dict[str, Any]:
+        """Return the episodes so far, one array a column; the environment starts anew with every evaluation."""
+        return {"columns": [np.concatenate(column) for column in zip(*self._rows, strict=True)]}
+
+    def restore_from_checkpoint(self, state: dict[str, Any]) -> None:
+        """Go on where another evaluator was."""
+        self._rows = [tuple(np.array(column) for column in state["columns"])] if state["columns"] else []
 
     def finish(self, num_agents: int) -> Evaluations:
         """Return the episodes of the first `num_agents` agents, by agent, step and episode."""

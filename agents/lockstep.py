@@ -17,11 +17,14 @@ from agents.replay import Replay
 from agents.rng import RandomStream
 from agents.spaces import ActionSpace, Discrete
 
-_WARM_UP_STEPS = 3  # learning steps before the capture, in which buffers and the libraries' workspaces are allocated
+# learning steps before the capture, in which buffers and the libraries' workspaces are allocated; after a restoration, too
+_WARM_UP_STEPS = 3
 
 
 class LockStep:
     """P agents in their environments. `healthy` [P] (bool) are those whose numbers have been finite so far."""
+
+    not_in_checkpoints = ("stream", "_standstill", "_side", "_graph", "_warm_up_steps")
 
     def __init__(
         self,
@@ -50,6 +53,7 @@ class LockStep:
         self._captured = captured
         self._side: Any = torch.cuda.Stream(device) if captured else None
         self._graph: Any = None
+        self._warm_up_steps = 0
 
     def run(self) -> None:
         """Take the next step."""
@@ -64,7 +68,8 @@ class LockStep:
             self.recorder.count()
 
     def _run_captured(self, learns: bool) -> None:
-        if self.clock.number < self.batch_size + _WARM_UP_STEPS:
+        if self._warm_up_steps < _WARM_UP_STEPS:
+            self._warm_up_steps += learns
             self._side.wait_stream(torch.cuda.current_stream())
             with torch.cuda.stream(self._side):
                 self._step(learns)

@@ -1,6 +1,8 @@
 """What training leaves behind: the episodes of every agent, as columns."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -11,6 +13,8 @@ from agents.clock import Clock
 ENDINGS = ("terminated", "truncated", "budget")
 _TERMINATED, _TRUNCATED, _BUDGET = range(3)
 _BLOCK_STEPS = 4096
+_BLOCK = ("_rewards", "_endings", "_finite")
+_SO_FAR = ("_in_block", "_steps", "_partial_return", "_first_step", "_diverged_at")
 
 
 @dataclass(frozen=True)
@@ -48,6 +52,21 @@ class Evaluations:
     ending: np.ndarray
 
 
+def side_by_side(records: Sequence[Records]) -> Records:
+    """Return the records of agents that were trained one after another as those of one population. Evaluations are not kept."""
+    counts = np.cumsum([0, *(len(one.diverged_at) for one in records)])
+    return Records(
+        steps=records[0].steps,
+        agent=np.concatenate([one.agent + first for one, first in zip(records, counts[:-1], strict=True)]).astype(np.int32),
+        episode=np.concatenate([one.episode for one in records]),
+        first_step=np.concatenate([one.first_step for one in records]),
+        length=np.concatenate([one.length for one in records]),
+        episodic_return=np.concatenate([one.episodic_return for one in records]),
+        ending=np.concatenate([one.ending for one in records]),
+        diverged_at=np.concatenate([one.diverged_at for one in records]),
+    )
+
+
 class Recorder:
     """Collects rewards step by step and turns them into episodes a block at a time: memory does not grow with the steps."""
 
@@ -81,6 +100,21 @@ class Recorder:
         self._in_block += 1
         if self._in_block == len(self._rewards):
             self._flush()
+
+    def state_for_checkpoint(self) -> dict[str, Any]:
+        """Return the steps of the block that is not full yet, and the episodes so far, one array a column."""
+        block = {name: getattr(self, name)[: self._in_block].cpu().numpy() for name in _BLOCK}
+        episodes = [np.concatenate(column) for column in zip(*self._episodes, strict=True)]
+        return {**block, **{name: getattr(self, name) for name in _SO_FAR}, "episodes": episodes}
+
+    def restore_from_checkpoint(self, state: dict[str, Any]) -> None:
+        """Go on where another recorder was."""
+        for name in _BLOCK:
+            now = state[name]
+            getattr(self, name)[: len(now)] = torch.from_numpy(np.array(now)).to(self._rewards.device)
+        for name in _SO_FAR:
+            setattr(self, name, np.array(state[name]) if isinstance(state[name], np.ndarray) else state[name])
+        self._episodes = [tuple(np.array(column) for column in state["episodes"])] if state["episodes"] else []
 
     def _flush(self) -> None:
         rewards = self._rewards[: self._in_block].cpu().numpy()

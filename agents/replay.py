@@ -1,11 +1,14 @@
 """A ring buffer of transitions for every agent of a population, filled and sampled in lock-step."""
 
 from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from agents.clock import Clock
+from agents.lasting import CheckpointError
 from agents.rng import Purpose, RandomStream
 
 
@@ -55,6 +58,22 @@ class Replay:
         else:
             self.rows.index_copy_(1, self._clock.place_in(self.capacity), row.unsqueeze(1))
         self.num_added += 1
+
+    def state_for_checkpoint(self) -> dict[str, Any]:
+        """Return the rows that are filled, a view where they lie on the CPU, and how many were ever added."""
+        num_added = self.num_added if self._clock is None else self._clock.number  # captured steps do not come by here to count
+        return {"num_added": num_added, "rows": self.rows[:, : min(num_added, self.capacity)].cpu().numpy()}
+
+    def restore_from_checkpoint(self, state: dict[str, Any]) -> None:
+        """Fill a new buffer. Raises CheckpointError for rows of another shape."""
+        rows, filled = state["rows"], min(state["num_added"], self.capacity)
+        if rows.shape != (len(self.rows), filled, self.width):
+            raise CheckpointError(f"replay rows {list(rows.shape)}: must be {[len(self.rows), filled, self.width]}")
+        if self.rows.device.type == "cpu":
+            np.copyto(self.rows[:, :filled].numpy(), rows)
+        else:
+            self.rows[:, :filled] = torch.from_numpy(np.array(rows)).to(self.rows.device)
+        self.num_added = state["num_added"]
 
     def sample(self, stream: RandomStream, step: int, batch_size: int) -> Batch:
         """Draw `batch_size` transitions an agent, uniformly with replacement."""

@@ -1,13 +1,17 @@
 """The lock-step loop: every agent of a population takes a step, stores it and learns from it, all at once."""
 
-from collections.abc import Callable, Iterator, Sequence
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from typing import Any
 
 import torch
 
-from agents import kernels
+from agents import checkpoint, kernels
 from agents.algorithm import Task
+from agents.checkpoint import CheckpointError
 from agents.clock import Clock
 from agents.environment import Environment
 from agents.evaluation import Evaluation, Evaluator
@@ -51,35 +55,144 @@ def train(
     Raises AlgorithmLookupError or EnvironmentLookupError for names that lead nowhere, ValueError when the agents cannot be
     trained together, are not of this algorithm, or cannot act in this environment, or when steps or cutoff are less than 1.
     """
-    entry, known = find_algorithm(algorithm), find_environment(environment)
-    if entry.one_trial:
-        raise ValueError(f"{algorithm} is a function that trains one trial: agents.function.train_function calls it")
-    if steps < 1 or (cutoff is not None and cutoff < 1):
-        raise ValueError(f"steps = {steps}, cutoff = {cutoff}: must be at least 1")
-    if not all(isinstance(one, entry.hypers) for one in hypers):
-        raise ValueError(f"{algorithm} takes {entry.hypers.__name__}")
-    if known.actions not in entry.actions:
-        raise ValueError(
-            f"{algorithm} acts in {' and '.join(entry.actions)} action spaces only; {environment} is {known.actions}"
-        )
-    keep_freed_memory()
-    population = padded(hypers, seeds, torch.device(device))
-    world = known.make(len(population))
-    with torch.no_grad(), _denormals_flushed(), _matrix_precision(tf32):
-        lockstep = _make(entry, known, world, population, steps, cutoff, discount)
-        evaluator = None
-        if evaluation is not None:
-            if not hasattr(lockstep.agents, "act_deterministically"):
-                raise ValueError(f"{algorithm} cannot be evaluated: it has no act_deterministically")
-            evaluator = Evaluator(evaluation, known.make(len(population)), lockstep.stream.seeds, cutoff or known.cutoff)
-        for step in range(1, steps + 1):
-            lockstep.run()
-            if evaluator is not None and evaluation is not None and step % evaluation.every == 0:
-                evaluator.run(lockstep.agents, step, lockstep.healthy)
-            if on_step is not None:
-                on_step(step)
-        records = _without_copies(lockstep.recorder.finish(), len(hypers))
-    return records if evaluator is None else replace(records, evaluations=evaluator.finish(len(hypers)))
+    run = Run(
+        algorithm,
+        environment,
+        hypers,
+        seeds,
+        steps=steps,
+        cutoff=cutoff,
+        discount=discount,
+        device=device,
+        tf32=tf32,
+        evaluation=evaluation,
+    )
+    run.advance(steps, on_step)
+    return run.finish()
+
+
+class Run:
+    """A population under training: what `train` does, as far and as fast as one likes, to be saved and gone on with elsewhere.
+
+    `step` counts the lock-steps taken, of `steps` in all. A run that was restored goes on as the one that was saved would have,
+    bit for bit, on the same kind of device with the same engine and version of torch.
+    """
+
+    def __init__(
+        self,
+        algorithm: str,
+        environment: str,
+        hypers: Sequence[Hypers],
+        seeds: Sequence[int],
+        *,
+        steps: int,
+        cutoff: int | None = None,
+        discount: float = 0.99,
+        device: str = "cpu",
+        tf32: bool = False,
+        evaluation: Evaluation | None = None,
+    ) -> None:
+        """Make the agents and start their environments; arguments and errors are those of `train`."""
+        entry, known = find_algorithm(algorithm), find_environment(environment)
+        if entry.one_trial:
+            raise ValueError(f"{algorithm} is a function that trains one trial: agents.function.train_function calls it")
+        if steps < 1 or (cutoff is not None and cutoff < 1):
+            raise ValueError(f"steps = {steps}, cutoff = {cutoff}: must be at least 1")
+        if not all(isinstance(one, entry.hypers) for one in hypers):
+            raise ValueError(f"{algorithm} takes {entry.hypers.__name__}")
+        if known.actions not in entry.actions:
+            raise ValueError(
+                f"{algorithm} acts in {' and '.join(entry.actions)} action spaces only; {environment} is {known.actions}"
+            )
+        keep_freed_memory()
+        population = padded(hypers, seeds, torch.device(device))
+        cutoff = cutoff or known.cutoff
+        self.steps, self._num_agents, self._tf32 = steps, len(hypers), tf32
+        with self._conditions():
+            self._lockstep = _make(entry, known, known.make(len(population)), population, steps, cutoff, discount)
+            self._evaluator: Evaluator | None = None
+            if evaluation is not None:
+                if not hasattr(self._lockstep.agents, "act_deterministically"):
+                    raise ValueError(f"{algorithm} cannot be evaluated: it has no act_deterministically")
+                world = known.make(len(population))
+                self._evaluator = Evaluator(evaluation, world, self._lockstep.stream.seeds, cutoff)
+        self._arguments: dict[str, Any] = {
+            "algorithm": [algorithm, entry.results_version],
+            "environment": [environment, known.results_version],
+            "hypers": _digest(repr([one.as_dict() for one in hypers])),
+            "seeds": _digest(repr(list(seeds))),
+            "steps": steps,
+            "cutoff": cutoff,
+            "discount": discount,
+            "evaluation": [evaluation.every, evaluation.episodes] if evaluation else None,
+            "device": population.device.type,
+            "engine": "torch" if kernels.library(population.device.type) is None else "native",
+            "tf32": tf32,
+        }
+
+    @property
+    def step(self) -> int:
+        """The number of lock-steps taken."""
+        return self._lockstep.clock.number
+
+    def advance(self, count: int = 1, on_step: Callable[[int], None] | None = None) -> None:
+        """Take `count` lock-steps, and the evaluations that fall on them; `on_step` is called after each with its number.
+
+        Raises ValueError when fewer steps are left.
+        """
+        lockstep, evaluator, last = self._lockstep, self._evaluator, self.step + count
+        if last > self.steps:
+            raise ValueError(f"{count} steps from step {self.step} on: there are {self.steps} in all")
+        with self._conditions():
+            for step in range(self.step + 1, last + 1):
+                lockstep.run()
+                if evaluator is not None and step % evaluator.evaluation.every == 0:
+                    evaluator.run(lockstep.agents, step, lockstep.healthy)
+                if on_step is not None:
+                    on_step(step)
+
+    def state(self) -> checkpoint.State:
+        """Return everything that a later number depends on: names → arrays and plain values.
+
+        The arrays are living memory, not copies: save or copy them before the next step. Raises CheckpointError where something
+        cannot be saved, such as a generator that an algorithm keeps (`agents.checkpoint`).
+        """
+        with torch.no_grad():
+            return {"arguments": json.dumps(self._arguments), "step": self.step, **checkpoint.collect(self._lasting())}
+
+    def restore(self, state: Mapping[str, checkpoint.Value]) -> None:
+        """Become the run that the state is of, made with the same arguments. Arrays are copied, and may be read-only.
+
+        Raises CheckpointError when the state does not fit, and when an environment does not repeat its own episode; the run is of
+        no use then.
+        """
+        saved = json.loads(str(state.get("arguments", "{}")))
+        for name, value in self._arguments.items():
+            if saved.get(name) != value:
+                raise CheckpointError(f"{name}: {saved.get(name)} in the checkpoint, {value} here")
+        with self._conditions():
+            checkpoint.restore(self._lasting(), state)
+        if self.step != state.get("step"):
+            raise CheckpointError(f"step: {state.get('step')} in the checkpoint, but its clock says {self.step}")
+
+    def finish(self) -> Records:
+        """Return the episodes of all steps. Raises ValueError while some are left."""
+        if self.step < self.steps:
+            raise ValueError(f"{self.step} steps of {self.steps} are taken")
+        records = _without_copies(self._lockstep.recorder.finish(), self._num_agents)
+        return records if self._evaluator is None else replace(records, evaluations=self._evaluator.finish(self._num_agents))
+
+    def _lasting(self) -> dict[str, Any]:
+        return {"lockstep": self._lockstep, "evaluator": self._evaluator}
+
+    @contextmanager
+    def _conditions(self) -> Iterator[None]:
+        with torch.no_grad(), _denormals_flushed(), _matrix_precision(self._tf32):
+            yield
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def _make(
