@@ -17,6 +17,7 @@ import uuid
 from graphlib import TopologicalSorter
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import duckdb
 import pyarrow as pa
@@ -24,27 +25,34 @@ import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 
 from agents.registry import ALGORITHMS
-from sweep import schema
+from sweep import manifest, schema
+from sweep.failures import Failure
+from sweep.manifest import DamagedError
 from sweep.messages import UserError
 from sweep.store import Store
 
 _HYPERS = {name: value for known in ALGORITHMS.values() for name, value in known.hypers().as_dict().items()}
-_TABLES = {
-    "trials": ("shards/*/trials.parquet", schema.with_hypers(schema.TRIALS, _HYPERS)),
-    "episodes": ("shards/*/episodes.parquet", schema.EPISODES),
-    "evaluations": ("shards/*/evaluations.parquet", schema.EVALUATIONS),
-    "steps": ("shards/*/steps.parquet", schema.STEPS),
-    "members": ("studies/*/members.parquet", schema.with_hypers(schema.MEMBERS, _HYPERS)),
+_TRIALS = schema.with_hypers(schema.TRIALS, _HYPERS)
+_SHARD_TABLES = {
+    "trials": _TRIALS,
+    "episodes": schema.EPISODES,
+    "evaluations": schema.EVALUATIONS,
+    "steps": schema.STEPS,
 }
-_OPEN_TABLES = ("trials", "members")  # files may add hyperparameters of algorithms that are not registered here
+_STUDY_TABLES = {
+    "members": schema.with_hypers(schema.MEMBERS, _HYPERS),
+    "selections": schema.with_hypers(schema.SELECTIONS, _HYPERS, after="setting"),
+}
+_OPEN_TABLES = ("trials", "members", "selections")  # files may add hyperparameters of algorithms that are not registered here
 
 
 def connect(store: str | Path, threads: int | None = None) -> duckdb.DuckDBPyConnection:
-    """Return a connection with the tables `trials`, `episodes`, `steps`, `evaluations`, `members` and every view on them.
+    """Return a connection with the store's tables (`schema`) and every view on them.
 
-    It can neither read nor write files, load extensions or be reconfigured. UserError where there is no store.
+    `trials` has the failed ones as well: their identity, and NULL elsewhere. The connection can neither read nor write files,
+    load extensions or be reconfigured. Raises UserError where there is no store, or a file of it is damaged.
     """
-    root = Store.open(store).path
+    datasets = _datasets(Store.open(store))
     # A sort larger than memory spills into this directory, which DuckDB makes when needed and removes.
     spill = Path(tempfile.gettempdir()) / f"sweep-spill-{uuid.uuid4().hex}"
     connection = duckdb.connect(
@@ -57,8 +65,8 @@ def connect(store: str | Path, threads: int | None = None) -> duckdb.DuckDBPyCon
         }
     )
     connection.execute("SET TimeZone = 'UTC'")
-    for name, (pattern, declared) in _TABLES.items():
-        connection.register(name, _dataset(sorted(root.glob(pattern)), declared, name in _OPEN_TABLES))
+    for name, dataset in datasets.items():
+        connection.register(name, dataset)
     for name, select in view_sources().items():
         connection.execute(f"CREATE VIEW {name} AS {select}")
     connection.execute("SET enable_external_access = false")
@@ -79,16 +87,59 @@ def _relations(select: str) -> set[str]:
     return set(re.findall(r"\b(?:FROM|JOIN)\s+(\w+)", re.sub(r"--.*", "", select)))
 
 
-def _dataset(files: list[Path], declared: pa.Schema, open: bool) -> ds.Dataset:
-    """Return the files side by side by column name: `declared` columns first, NULL where a file lacks one."""
-    columns = declared.remove_metadata()
-    for file in files if open else ():
+def _datasets(store: Store) -> dict[str, ds.Dataset]:
+    """Return table → what it reads. Files are of their full size, or it is said which is not."""
+    while True:
         try:
-            columns = _side_by_side(columns, pq.read_schema(file).remove_metadata())
+            shards = store.shards()
+            for folder in shards:
+                manifest.check_sizes(folder)
+            found = {name: _dataset([folder / f"{name}.parquet" for folder in shards], name) for name in _SHARD_TABLES}
+        except FileNotFoundError:  # compacted since it was listed
+            continue
+        for name in _STUDY_TABLES:
+            found[name] = _dataset(sorted(store.path.glob(f"studies/*/{name}.parquet")), name)
+        found["trials"] = _with_failed(found["trials"], store.failures())
+        return found
+
+
+def _dataset(files: list[Path], table: str) -> ds.Dataset:
+    """Return the files side by side by column name: declared columns first, NULL where a file lacks one."""
+    files = [file for file in files if file.exists()] if table == "evaluations" else files
+    columns = (_SHARD_TABLES | _STUDY_TABLES)[table].remove_metadata()
+    known: set[pa.Schema] = set()
+    for file in files if table in _OPEN_TABLES else ():
+        try:
+            more = pq.read_schema(file).remove_metadata()
+            columns = columns if more in known else _side_by_side(columns, more)
+            known.add(more)
+        except FileNotFoundError:
+            file.parent.stat()
+            raise DamagedError(file, "it is missing") from None
         except (pa.ArrowInvalid, OSError) as error:
             raise UserError(f"{file}: cannot be read beside the others ({error})") from None
     checked = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
     return ds.dataset(files, schema=columns, format=ds.ParquetFileFormat(default_fragment_scan_options=checked))
+
+
+def _with_failed(trials: ds.Dataset, failures: list[Failure]) -> ds.Dataset:
+    """Return the table with a row for each failed trial: what is known of it before it is trained."""
+    rows = {trial["trial"]: trial for failure in failures for trial in failure.trials}
+    if not rows:
+        return trials
+    columns = trials.schema
+    for row in rows.values():
+        columns = _side_by_side(columns, pa.schema([schema.hyper_field(*item) for item in row.items() if item[1] is not None]))
+    values = {field.name: [row.get(field.name) for row in rows.values()] for field in columns}
+    values["status"] = ["failed"] * len(rows)
+    failed = {name: _column(values[name], columns.field(name).type) for name in columns.names}
+    return ds.dataset([trials.replace_schema(columns), ds.dataset(pa.table(failed, columns))])
+
+
+def _column(values: list[Any], type: pa.DataType) -> pa.Array:
+    """Return a column; a number where others have texts is a text."""
+    is_text = pa.types.is_string(type)
+    return pa.array([str(value) if is_text and value is not None else value for value in values], type)
 
 
 def _side_by_side(columns: pa.Schema, more: pa.Schema) -> pa.Schema:

@@ -68,4 +68,6 @@ def _check_explained(connection: duckdb.DuckDBPyConnection, sql: str) -> None:
 def short_message(error: duckdb.Error) -> str:
     """Return DuckDB's message and candidates on one line, without the kind of error and the excerpt of the query."""
     text = re.split(r"\n\s*LINE \d+:", str(error))[0]
+    if re.search(r"Failed to open local file '.*/shards/.*No such file", text, re.DOTALL):
+        return "the store was compacted meanwhile: ask again"
     return re.sub(r"\s+", " ", re.sub(r"^[A-Z][\w ]* Error: ", "", text)).strip()

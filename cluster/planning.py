@@ -52,9 +52,9 @@ def plan_nominally(study: str, trials: Sequence[Trial], store: Path, slots: int,
     return _planned(study, trials, _missing(trials, store), store, Calibrations({}), known, training)
 
 
-def _missing(trials: Sequence[Trial], store: Path) -> list[Trial]:
-    is_empty = not store.exists() or (store.is_dir() and not any(store.iterdir()))
-    finished = set() if is_empty else Store.open(store).finished_trials()
+def _missing(trials: Sequence[Trial], folder: Path) -> list[Trial]:
+    store = Store.open_if_any(folder)
+    finished = store.finished_trials() if store else set()
     return [trial for trial in trials if trial.id not in finished]
 
 

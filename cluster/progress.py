@@ -2,18 +2,20 @@
 
 import contextlib
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 
 from rich.console import Console
+from rich.live import Live
 from rich.markup import escape
-from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
-from rich.progress import Progress as Bars
+from rich.progress_bar import ProgressBar
+from rich.table import Table
 
-from cluster.worker import Receipt
-from sweep.shards import Shard
+from cluster.tally import Row, Tally
+from sweep.messages import duration
 
 _PLAIN_SECONDS = 30.0
-_RATE_SECONDS = 30.0
+_STAGES = {"tune": "tuning", "evaluate": "evaluating"}
+_MOST_ROWS = 24  # more do not fit a screen
 
 
 class Progress:
@@ -21,42 +23,29 @@ class Progress:
 
     def __init__(self, console: Console) -> None:
         self._console = console
-        self._bars: Bars | None = None
-        self._done_trials = self._all_trials = self._failed_trials = 0
-        self._done_steps = self._all_steps = 0
-        self._under_way: Callable[[], int] = lambda: 0
-        self._readings: list[tuple[float, int]] = []
+        self._live: Live | None = None
+        self._tally: Tally | None = None
+        self._update: Callable[[], None] = lambda: None
         self._last_line = 0.0
+        self._waits_for_others = 0
 
     @contextlib.contextmanager
-    def running(self, study: str, shards: Sequence[Shard], slots: int, under_way: Callable[[], int]) -> Iterator[None]:
-        """Show progress of these shards; `under_way` gives the agent-steps done of those that are not finished."""
-        self._all_trials = sum(len(shard.trials) for shard in shards)
-        self._all_steps = sum(shard.agent_steps for shard in shards)
-        self._under_way = under_way
-        self._readings = [(time.monotonic(), 0)]
+    def running(self, tally: Tally, num_shards: int, slots: int, update: Callable[[], None]) -> Iterator[None]:
+        """Show how far a stage is. `update` is called at every tick, to bring the tally up to date."""
+        self._tally, self._update = tally, update
         self._last_line = time.monotonic()
-        self._console.print(
-            f"{study}: training {self._all_trials:,} trials ({self._all_steps:,} agent-steps) "
-            f"in {len(shards):,} shards on {slots} worker{'s' if slots > 1 else ''}",
-            highlight=False,
-            soft_wrap=True,
+        total = tally.total
+        stage = " to evaluate" if tally.stage == "evaluate" else ""
+        self.note(
+            f"{tally.study}: training {total.trials:,} trials{stage} ({total.steps:,} agent-steps) "
+            f"in {num_shards:,} shards on {slots} worker{'s' if slots > 1 else ''}"
         )
         if not self._console.is_terminal:
             yield
             return
-        columns = (
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TaskProgressColumn(),
-            TextColumn("· {task.fields[trials]} trials · {task.fields[rate]} agent-steps/s ·"),
-            TimeElapsedColumn(),
-            TextColumn("· {task.fields[left]} left"),
-        )
-        with Bars(*columns, console=self._console, refresh_per_second=4) as self._bars:
-            self._bars.add_task(study, total=self._all_steps, trials=f"0/{self._all_trials:,}", rate="…", left="…")
+        with Live(console=self._console, refresh_per_second=4, get_renderable=self._table) as self._live:
             yield
-        self._bars = None
+        self._live = None
 
     @contextlib.contextmanager
     def preparing(self) -> Iterator[Callable[[str], None]]:
@@ -68,49 +57,49 @@ class Progress:
             yield lambda text: status.update(escape(text))
 
     def note(self, line: str) -> None:
-        """Say something before the work begins."""
+        """Say something, above the table if there is one."""
         self._console.print(line, highlight=False, markup=False, soft_wrap=True)
 
-    def finished(self, receipt: Receipt) -> None:
-        """Count a shard that came back; one that failed is no longer waited for."""
-        trials, steps = len(receipt.shard.trials), receipt.shard.agent_steps
-        if receipt.error is None:
-            self._done_trials += trials
-            self._done_steps += steps
-            return
-        self._failed_trials += trials
-        self._all_steps -= steps
-        last = receipt.error.strip().splitlines()[-1]
-        self.note(f"shard {receipt.shard.id} failed ({trials} trials): {last}")
+    def wait_for_others(self, trials: int) -> None:
+        """Say once that nothing is left here but trials that other launches train."""
+        if trials and not self._waits_for_others:
+            self.note(f"{trials:,} trials are being trained by another launch: waiting for them")
+        self._waits_for_others = trials
 
     def tick(self) -> None:
-        """Bring the display up to date."""
-        now, steps = time.monotonic(), self._done_steps + self._under_way()
-        self._readings.append((now, steps))
-        self._readings = [reading for reading in self._readings if reading[1] <= steps]  # a worker that began again
-        while len(self._readings) > 2 and now - self._readings[1][0] > _RATE_SECONDS:
-            self._readings.pop(0)
-        (then, before), rate = self._readings[0], 0.0
-        if now > then:
-            rate = max(0.0, (steps - before) / (now - then))
-        left = _duration((self._all_steps - steps) / rate) if rate else "…"
-        if self._bars is not None:
-            trials = f"{self._done_trials:,}/{self._all_trials:,}"
-            (task,) = self._bars.task_ids
-            self._bars.update(task, completed=steps, total=self._all_steps, trials=trials, rate=f"{rate:,.0f}", left=left)
-        elif now - self._last_line >= _PLAIN_SECONDS:
-            self._last_line = now
-            share = steps / self._all_steps if self._all_steps else 0.0
-            failed = f" · {self._failed_trials:,} failed" if self._failed_trials else ""
-            self._console.print(
-                f"{self._done_trials:,} of {self._all_trials:,} trials finished{failed} · {share:.0%} of the steps · "
-                f"{rate:,.0f} agent-steps/s · {left} left",
-                highlight=False,
-                soft_wrap=True,
-            )
+        """Bring the numbers up to date, and print a line of them now and then where there is no table."""
+        self._update()
+        if self._tally is None or self._live is not None or time.monotonic() - self._last_line < _PLAIN_SECONDS:
+            return
+        self._last_line = time.monotonic()
+        total = self._tally.total
+        failed = f" · {total.failed:,} failed" if total.failed else ""
+        self.note(
+            f"{total.done:,} of {total.trials:,} trials finished{failed} · {total.share:.0%} of the steps · "
+            f"{self._tally.rate:,.0f} agent-steps/s · {duration(total.left)} left"
+        )
+
+    def _table(self) -> Table:
+        tally = self._tally
+        assert tally is not None
+        total = tally.total
+        table = Table(box=None, pad_edge=False, caption_justify="left")
+        table.caption = f"{tally.study} · {_STAGES[tally.stage]} · {tally.rate:,.0f} agent-steps/s"
+        table.add_column("agent", no_wrap=True)
+        table.add_column("environment", no_wrap=True)
+        table.add_column("", width=16)
+        for heading in ("steps", "trials", "failed", "left"):
+            table.add_column(heading, justify="right", no_wrap=True)
+        rows = sorted(tally.rows.values(), key=lambda row: (row.running == 0, row.share == 1.0))
+        for row in rows[:_MOST_ROWS]:
+            _add(table, row, row.agent, row.environment)
+        if len(rows) > _MOST_ROWS:
+            table.add_row(f"and {len(rows) - _MOST_ROWS} more")
+        _add(table, total, "all", "")
+        return table
 
 
-def _duration(seconds: float) -> str:
-    minutes, seconds = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours} h {minutes:02} min" if hours else f"{minutes} min {seconds:02} s" if minutes else f"{seconds} s"
+def _add(table: Table, row: Row, name: str, environment: str) -> None:
+    bar = ProgressBar(total=max(1, row.steps), completed=row.done_steps)
+    trials, failed = f"{row.done:,}/{row.trials:,}", f"{row.failed:,}" if row.failed else ""
+    table.add_row(escape(name), escape(environment), bar, f"{row.share:.0%}", trials, failed, duration(row.left))

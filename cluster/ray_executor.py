@@ -26,7 +26,7 @@ from cluster.worker import Receipt, Work, run_shard
 from sweep.messages import UserError
 
 _OBJECT_STORE_BYTES = 100 * 2**20
-_MAX_RETRIES = 3
+_MAX_RETRIES = 2  # whatever still dies then is tried in parts (`cluster.backlog`)
 _CONNECT_SECONDS = 10.0
 
 
@@ -124,8 +124,17 @@ class RayExecutor:
         try:
             return ray.get(reference)
         except ray.exceptions.RayError as error:
-            return Receipt(work.shard, "unknown", error=str(error) or repr(error))
+            return Receipt(work.shard, "unknown", error=str(error) or repr(error), reason=_reason(error))
 
     def close(self) -> None:
         self._running.clear()
         ray.shutdown()
+
+
+def _reason(error: Exception) -> str:
+    """Return the class of a failure that the worker itself could not report."""
+    if isinstance(error, ray.exceptions.OutOfMemoryError):
+        return "memory"
+    if isinstance(error, ray.exceptions.NodeDiedError | ray.exceptions.RaySystemError):
+        return "lost"
+    return "killed" if isinstance(error, ray.exceptions.WorkerCrashedError) else "exception"

@@ -8,10 +8,10 @@ import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import pyarrow as pa
-import pyarrow.parquet as pq
-
+from sweep import shard_files
+from sweep.messages import UserError
 from sweep.shards import Shard
+from sweep.store import Store
 
 SHARD_BYTES = 10_000
 TRIAL_BYTES = 80
@@ -43,10 +43,10 @@ def episode_lengths(store: Path) -> dict[str, float]:
     """Return the mean length in steps of the episodes in a store, by environment; nothing for files that cannot be read."""
     steps: dict[str, int] = {}
     episodes: dict[str, int] = {}
-    for file in store.glob("shards/*/trials.parquet"):
+    for folder in Store(store).shards(lenient=True):
         try:
-            rows = pq.read_table(file, columns=["environment", "steps", "episodes"], partitioning=None).to_pylist()
-        except (OSError, pa.ArrowException):
+            rows = shard_files.read_table(folder / shard_files.TRIALS, ["environment", "steps", "episodes"]).to_pylist()
+        except (OSError, UserError):
             continue
         for row in rows:
             steps[row["environment"]] = steps.get(row["environment"], 0) + row["steps"]

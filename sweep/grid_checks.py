@@ -1,10 +1,9 @@
-"""What pydantic cannot know of a grid: names and ranges of hyperparameters, environments, seeds. Every mistake is listed.
+"""What pydantic cannot know of a grid: names and ranges of hyperparameters, environments, seeds, choices. It lists all mistakes.
 
 These functions look at the file as it was read, so that a mistake in one section does not hide those in another: whatever
 has the wrong form is passed over here, because pydantic has already complained of it.
 """
 
-import math
 from collections import Counter
 from fnmatch import fnmatchcase
 from typing import Any
@@ -21,11 +20,21 @@ from agents.registry import (
 )
 from sweep import schema
 from sweep.messages import nearest, suggestion
+from sweep.relations import Names, read_relations, zipped_names
+from sweep.settings import shown, swept_values
 
 _RESERVED = {*schema.TRIALS.names, *schema.MEMBERS.names}
+_COLUMN = "is the name of a column of every trial; a hyperparameter needs another"
 MAX_TRIALS = 1_000_000
 MAX_SEEDS = 1_000_000
-_FORMS = "a list, { values = […] }, { logspace = [first exponent, last exponent, count] } or { range = [first, last, step] }"
+_SEED_END = 2**62
+#: [select]: the valid choices, the default first (all of `by`).
+SELECT_CHOICES = {
+    "by": ("per-environment", "across-environments"),
+    "score": ("episode_mean", "step_mean", "final_mean"),
+    "normalizer": ("thesis", "minmax", "percentile", "cdf"),
+    "diverged": ("worst", "drop"),
+}
 
 
 def problems(raw: dict[str, Any]) -> list[str]:
@@ -44,10 +53,35 @@ def problems(raw: dict[str, Any]) -> list[str]:
             hypers = [algorithm.hypers.table[name] for algorithm in declaring if name in algorithm.hypers.table]
             found += _hyper_problems(f"{section}.{name}", section, name, value, hypers, shared_names)
     found += _named_twice(raw, "")
-    found += _evaluation_problems(_table(raw.get("study")), known)
+    found += _environment_table_problems(raw, environments)
+    found += _evaluation_problems(raw, known)
     for number, agent in enumerate(agents, start=1):
-        found += _agent_problems(f"agent[{number}]", agent, [str(name) for name in environments])
+        found += _agent_problems(f"agent[{number}]", agent, [str(name) for name in environments], raw)
+    found += _select_problems(_table(raw.get("select")), raw, agents)
     return found
+
+
+def names_in_reach(raw: dict[str, Any], agent: dict[str, Any], algorithm: Algorithm, place: str) -> Names:
+    """Return the names that an agent's relations may refer to. The agent's own come before the study's."""
+    table = algorithm.hypers.table
+    fixed: dict[str, str] = {}
+    swept: dict[str, tuple[str, tuple[Any, ...]]] = {}
+    for tables, prefix, zipped in ((raw, "", ()), (agent, f"{place}.", zipped_names(agent.get("zip")))):
+        for name in filter(table.__contains__, _table(tables.get("fixed"))):
+            swept.pop(name, None)
+            fixed[name] = f"{prefix}fixed"
+        for name, sweep in _table(tables.get("sweep")).items():
+            if name in table:
+                fixed.pop(name, None)
+                swept[name] = f"{prefix}sweep", _values(table[name], sweep, name in zipped)
+    return Names(swept, fixed, table)
+
+
+def _values(hyper: Hyper, sweep: Any, repeats: bool) -> tuple[Any, ...]:
+    try:
+        return swept_values(hyper, sweep, repeats)
+    except HyperparameterError:
+        return ()
 
 
 def seeds(tune: int | list[int], evaluate: int | list[int] | None) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -57,49 +91,6 @@ def seeds(tune: int | list[int], evaluate: int | list[int] | None) -> tuple[tupl
         first = max(tune_seeds) + 1
         return tune_seeds, tuple(range(first, first + evaluate))
     return tune_seeds, tuple(evaluate or ())
-
-
-def swept_values(hyper: Hyper, sweep: Any) -> tuple[Any, ...]:
-    """Return the values of a sweep in canonical types. Raises HyperparameterError when there are none, or one is bad."""
-    if isinstance(sweep, dict):
-        form, listed = next(iter(sweep.items())) if len(sweep) == 1 else ("", None)
-        if form not in ("values", "logspace", "range") or not isinstance(listed, list):
-            raise HyperparameterError(f"must be {_FORMS}")
-        values = listed if form == "values" else _series(form, listed)
-    elif isinstance(sweep, list):
-        values = sweep
-    else:
-        raise HyperparameterError(f"must be {_FORMS}; a single value belongs in [fixed]")
-    if not values:
-        raise HyperparameterError("nothing to sweep: the list of values is empty")
-    checked: list[Any] = []
-    for value in values:
-        try:
-            checked.append(hyper.check(value))
-        except HyperparameterError as error:
-            raise HyperparameterError(f"value {value!r} {error}") from None
-        if checked[-1] in checked[:-1]:
-            raise HyperparameterError(f"value {value!r} is listed twice")
-    return tuple(checked)
-
-
-def _series(form: str, arguments: list[Any]) -> list[float | int]:
-    if len(arguments) != 3 or not all(type(x) in (int, float) and math.isfinite(x) for x in arguments):
-        raise HyperparameterError(f"{form} takes three numbers: {_FORMS}")
-    first, last, third = arguments
-    if form == "logspace":
-        if type(third) is not int or not 2 <= third <= 10_000 or max(abs(first), abs(last)) > 300:
-            raise HyperparameterError(
-                "logspace = [first exponent, last exponent, count] needs a count of 2 to 10,000 and exponents within ±300"
-            )
-        return [float(f"{10 ** (first + (last - first) * i / (third - 1)):.12g}") for i in range(third)]
-    if third == 0 or (last - first) / third < 0 or (last - first) / third > 10_000:
-        raise HyperparameterError(
-            "range = [first, last, step] needs a step that leads from first to last in at most 10,000 values"
-        )
-    count = math.floor((last - first) / third + 1e-9) + 1
-    values = [first + i * third for i in range(count)]
-    return [value if type(value) is int else float(f"{value:.12g}") for value in values]
 
 
 def _environment_problems(environments: list[Any]) -> list[str]:
@@ -137,6 +128,8 @@ def _seed_problems(section: dict[str, Any]) -> list[str]:
     tune, evaluate = section.get("tune"), section.get("evaluate")
     if are_seeds(tune) and are_seeds(evaluate):
         explicit = seeds(tune, evaluate)  # type: ignore[arg-type]
+        if explicit[1][-1] >= _SEED_END:
+            found.append(f"seeds.evaluate = {evaluate}: the seeds after the tuning ones are not below 2^62; list them")
         overlap = sorted(set(explicit[0]) & set(explicit[1]))
         if overlap:
             shown = ", ".join(map(str, overlap[:5])) + (", …" if len(overlap) > 5 else "")
@@ -144,11 +137,23 @@ def _seed_problems(section: dict[str, Any]) -> list[str]:
     return found
 
 
-def _evaluation_problems(study: dict[str, Any], known: list[Algorithm]) -> list[str]:
-    every, steps = _table(study.get("evaluation")).get("every"), study.get("steps")
+def _environment_table_problems(raw: dict[str, Any], environments: list[Any]) -> list[str]:
+    names = [name for name in environments if isinstance(name, str)]
+    return [
+        f"environment.{name}: is none of the study's environments; {suggestion(name, names)}"
+        for name in _table(raw.get("environment"))
+        if names and name not in names
+    ]
+
+
+def _evaluation_problems(raw: dict[str, Any], known: list[Algorithm]) -> list[str]:
+    study, tables = _table(raw.get("study")), _table(raw.get("environment"))
+    every = _table(study.get("evaluation")).get("every")
     found = []
-    if type(every) is int and type(steps) is int and every > steps:
-        found.append(f"study.evaluation.every = {every}: trials end after {steps:,} steps; no evaluation would happen")
+    lengths = {"": study.get("steps")} | {f" on {name}": _table(table).get("steps") for name, table in tables.items()}
+    for where, steps in lengths.items():
+        if type(every) is int and type(steps) is int and every > steps:
+            found.append(f"study.evaluation.every = {every}: trials{where} end after {steps:,} steps; no evaluation would happen")
     if "evaluation" in study:
         found += [
             f"study.evaluation: {algorithm.name} cannot be evaluated: it has no act_deterministically"
@@ -158,24 +163,55 @@ def _evaluation_problems(study: dict[str, Any], known: list[Algorithm]) -> list[
     return found
 
 
+def _select_problems(section: dict[str, Any], raw: dict[str, Any], agents: list[dict[str, Any]]) -> list[str]:
+    found = []
+    for key, choices in SELECT_CHOICES.items():
+        value = section.get(key)
+        listed = (
+            {f"select.{key}[{i}]": item for i, item in enumerate(_list(value), start=1)}
+            if key == "by"
+            else {f"select.{key}": value}
+        )
+        seen: list[Any] = []
+        for place, choice in listed.items():
+            if isinstance(choice, str) and choice not in choices:
+                found.append(f'{place} = "{choice}": unknown choice; {suggestion(choice, choices)}')
+            if choice in seen:
+                found.append(f'{place} = "{choice}": listed twice')
+            seen.append(choice)
+    swept = sorted({name for tables in (raw, *agents) for name in _table(tables.get("sweep"))})
+    for number, name in enumerate(_list(section.get("for_each")), start=1):
+        if isinstance(name, str) and name not in swept:
+            found.append(f'select.for_each[{number}] = "{name}": is not swept; {suggestion(name, swept)}')
+        if name in section["for_each"][: number - 1]:
+            found.append(f'select.for_each[{number}] = "{name}": listed twice')
+    return found
+
+
 def are_seeds(value: Any) -> bool:
     if isinstance(value, list):
-        return bool(value) and all(type(seed) is int and 0 <= seed < 2**62 for seed in value)
+        return bool(value) and all(type(seed) is int and 0 <= seed < _SEED_END for seed in value)
     return type(value) is int and 1 <= value <= MAX_SEEDS
 
 
-def _agent_problems(place: str, agent: dict[str, Any], environments: list[str]) -> list[str]:
+def _agent_problems(place: str, agent: dict[str, Any], environments: list[str], raw: dict[str, Any]) -> list[str]:
     name = agent.get("name")
     algorithm = _algorithm(name)
     if not isinstance(algorithm, Algorithm):
         return [f'{place}.name = "{name}": {algorithm}'] if algorithm else []
     found = []
+    zipped = zipped_names(agent.get("zip"))
     for section in ("fixed", "sweep"):
         for hyper_name, value in _table(agent.get(section)).items():
             table = algorithm.hypers.table
             hypers = [table[hyper_name]] if hyper_name in table else []
-            found += _hyper_problems(f"{place}.{section}.{hyper_name}", section, hyper_name, value, hypers, table)
+            found += _hyper_problems(
+                f"{place}.{section}.{hyper_name}", section, hyper_name, value, hypers, table, hyper_name in zipped
+            )
     found += _named_twice(agent, f"{place}.")
+    derived = [name for name in _table(agent.get("derive")) if name in algorithm.hypers.table]
+    found += [f"{place}.derive.{name}: {_COLUMN}" for name in derived if name in _RESERVED]
+    found += read_relations(place, agent, names_in_reach(raw, agent, algorithm, place))[1]
     found += _pattern_problems(f"{place}.environments", algorithm, agent.get("environments", ["*"]), environments)
     return found
 
@@ -190,19 +226,21 @@ def _algorithm(name: Any) -> Algorithm | str | None:
         return error.reason if ":" in name else f"{error.reason}; {suggestion(name, ALGORITHMS)}; or package.module:Name"
 
 
-def _hyper_problems(place: str, section: str, name: str, value: Any, hypers: list[Hyper], known: Any) -> list[str]:
+def _hyper_problems(
+    place: str, section: str, name: str, value: Any, hypers: list[Hyper], known: Any, repeats: bool = False
+) -> list[str]:
     if name in _RESERVED:
-        return [f"{place}: is the name of a column of every trial; a hyperparameter needs another"]
+        return [f"{place}: {_COLUMN}"]
     if not hypers:
         return [f"{place}: unknown hyperparameter; {suggestion(name, known)}"] if known else []
     for hyper in hypers:  # every agent that has it must be able to take it
         try:
             if section == "sweep":
-                swept_values(hyper, value)
+                swept_values(hyper, value, repeats)
             else:
                 hyper.check(value)
         except HyperparameterError as error:
-            return [f"{place}: {error}" if section == "sweep" else f"{place} = {value!r}: {error}"]
+            return [f"{place}: {error}" if section == "sweep" else f"{place} = {shown(value)}: {error}"]
     return []
 
 

@@ -24,3 +24,12 @@ def nearest(name: str, choices: Iterable[str], count: int) -> list[str]:
         folded = {choice.casefold(): choice for choice in known}
         near = [folded[match] for match in difflib.get_close_matches(name.casefold(), folded, n=count, cutoff=0.6)]
     return near
+
+
+def duration(seconds: float | None) -> str:
+    """Return a time for people, such as `2 h 05 min`; `…` when it is not known."""
+    if seconds is None:
+        return "…"
+    minutes, seconds = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes:02} min" if hours else f"{minutes} min {seconds:02} s" if minutes else f"{seconds} s"

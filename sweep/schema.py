@@ -98,6 +98,34 @@ MEMBERS = _table(
     ("steps", pa.int64(), "environment steps"),
 )
 
+#: One row per study, rule, agent, environment and combination of `for_each` values: the setting that the evaluation stage
+#: evaluates. `hypers` keeps what does not apply on the environment and has no column there.
+SELECTIONS = _table(
+    ("study", pa.string(), "study"),
+    ("by", pa.string(), "per-environment or across-environments"),
+    ("agent", pa.string(), "algorithm"),
+    ("environment", pa.string(), "environment"),
+    ("for_each", pa.string(), "values of the hyperparameters for each of which a choice is made, as JSON"),
+    ("setting", pa.string(), "the chosen setting"),
+    ("hypers", pa.string(), "the chosen candidate's hyperparameters, those included that do not apply here, as JSON"),
+    ("score", pa.string(), "score of a run that was maximized: episode_mean, step_mean or final_mean"),
+    ("normalizer", pa.string(), "thesis, minmax, percentile or cdf"),
+    ("diverged", pa.string(), "what a diverged run counts for: worst or drop"),
+    ("mean", pa.float64(), "mean score over the tuning runs on this environment: biased upwards, as a maximum is"),
+    ("normalized", pa.float64(), "mean normalized score; across environments over all of them, which was maximized"),
+    ("num_seeds", pa.int64(), "tuning runs behind the mean"),
+    ("num_settings", pa.int64(), "settings that were compared"),
+    ("num_left_out", pa.int64(), "settings that were not, because a run was missing or had no score"),
+    ("runner_up", pa.string(), "the second best setting; NULL where there was no other"),
+    ("runner_up_mean", pa.float64(), "its mean score on this environment"),
+    ("runner_up_normalized", pa.float64(), "its mean normalized score, as above"),
+    ("num_tied", pa.int64(), "other settings that were exactly as good: the lowest hash was chosen"),
+    ("on_edge", pa.list_(pa.string()), "swept hyperparameters whose value is the lowest or highest of at least three swept"),
+    ("constants", pa.string(), "the normalizer's constants on this environment, as JSON"),
+    ("basis", pa.string(), "16 hexadecimal digits: hash of the tuning trials and the rules that the choice was made from"),
+    ("selected_at", pa.timestamp("us", tz="UTC"), "time of the choice"),
+)
+
 
 def hyper_field(name: str, value: Any) -> pa.Field:
     """Return the column of a hyperparameter from one of its values: float64, int64, string, bool, or a list of these."""

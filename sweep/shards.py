@@ -22,6 +22,9 @@ MIN_POPULATION = 16
 NOMINAL_AGENT_STEPS_PER_SECOND = 4_000
 TARGET_SECONDS = 1_800
 SHARDS_PER_SLOT = 3
+#: A function's trials are trained one after another, nobody knows how long: few enough a shard that the last ones do not drag on.
+FUNCTION_TRIALS = 32
+_FUNCTION_SHARDS_PER_SLOT = 16
 _ROUNDING = 1e-9
 
 
@@ -64,7 +67,7 @@ class Shard:
 
 
 def group_of(trial: Trial) -> Group:
-    """Return the group of a trial. A function's trials are one group, though no two of them are trained together."""
+    """Return the group of a trial. A function's trials are one group: they are trained one after another."""
     shared = () if find_algorithm(trial.agent).one_trial else trial.hypers.shared()
     return Group(trial.agent, trial.environment, shared)
 
@@ -95,8 +98,10 @@ def pack(trials: Sequence[Trial], slots: int, sizes: Mapping[Group, Size] | None
         together.setdefault(key, []).append(trial)
     shards = []
     for (group, steps, *_), members in together.items():
-        alone = find_algorithm(group.agent).one_trial
-        size = 1 if alone else _population(len(trials), steps, slots, known.get(group, Size()))
+        if find_algorithm(group.agent).one_trial:
+            size = max(1.0, min(FUNCTION_TRIALS, len(members) / (slots * _FUNCTION_SHARDS_PER_SLOT)))
+        else:
+            size = _population(len(trials), steps, slots, known.get(group, Size()))
         count = math.ceil(len(members) / size - _ROUNDING)
         bounds = [round(i * len(members) / count) for i in range(count + 1)]
         shards += [Shard(tuple(members[a:b])) for a, b in itertools.pairwise(bounds)]

@@ -1,11 +1,12 @@
 """A store of results: a folder that holds each finished trial exactly once.
 
     sweep-store.json                                marks the folder as a store
-    shards/<shard>/{trials,episodes,steps}.parquet  trials that were trained together: visible whole or not at all;
-                                                    with evaluations.parquet where there are evaluation episodes
-    studies/<study>/{grid.toml,members.parquet}     what a study needs, finished or not
-    failures/<shard>.json                           the last error of a shard that could not be trained
-    .staging/  .progress/  .lock                    work under way; never read as results
+    shards/<shard>/{trials,episodes,steps}.parquet  trials that were trained together: visible whole or not at all; with
+                                                    evaluations.parquet where there are evaluation episodes
+    shards/<shard>/manifest.json                    sizes, rows and checksums of these files (`sweep.manifest`)
+    studies/<study>/                                what a study needs, finished or not (`sweep.study_files`)
+    failures/<shard>.json                           why a shard could not be trained (`sweep.failures`)
+    .staging/  .progress/  .quarantine/  .lock      work under way, and damaged shards; never read as results
 
 A shard is written and flushed to disk in `.staging`, then its folder is renamed into place: a rename is atomic, and it fails when
 the name is taken. Under the lock, trials that are in the store by then are left out, so that two launches at once, or a
@@ -13,6 +14,8 @@ worker that was given up for dead, cannot put a trial there twice. What is finis
 """
 
 import contextlib
+import dataclasses
+import datetime
 import fcntl
 import json
 import os
@@ -20,22 +23,21 @@ import shutil
 import socket
 import time
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import IO, Any
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
-from sweep import schema
-from sweep.messages import UserError
-from sweep.tables import ShardTables
+from sweep import failures, manifest, shard_files, study_files
+from sweep.failures import Failure
+from sweep.files import UnwritableError, flush_folder, flushed, write_atomically
+from sweep.messages import UserError, suggestion
+from sweep.tables import ShardTables, identity_columns
+from sweep.trials import Trial
 
 _MARKER = "sweep-store.json"
 _FORMAT = 1
-_STALE_SECONDS = 24 * 3600
-_ROW_GROUP_ROWS = 100_000
-_WRITING: dict[str, Any] = {"compression": "zstd", "write_page_checksum": True, "store_schema": False}
+STALE_SECONDS = 24 * 3600
 
 
 class Store:
@@ -43,7 +45,9 @@ class Store:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self._read_shards: dict[str, set[str]] = {}
+        self._trials: dict[tuple[str, int], set[str]] = {}
+        self._checked: set[tuple[str, int]] = set()
+        self._finished_in: tuple[frozenset[tuple[str, int]], set[str]] = (frozenset(), set())
 
     @classmethod
     def open(cls, path: str | Path) -> "Store":
@@ -60,85 +64,225 @@ class Store:
         return store
 
     @classmethod
+    def open_if_any(cls, path: str | Path) -> "Store | None":
+        """Return the store in a folder, None where the folder is missing or empty. Raises UserError when it is something else."""
+        folder = Path(path)
+        is_empty = not folder.exists() or (folder.is_dir() and all(_is_beginning(file) for file in folder.iterdir()))
+        return None if is_empty else cls.open(path)
+
+    @classmethod
     def create(cls, path: str | Path) -> "Store":
         """Return the store in a folder, made there if the folder is missing or empty. Raises UserError when it is neither."""
         folder = Path(path)
         try:
-            if folder.exists() and (not folder.is_dir() or any(not _is_beginning(file) for file in folder.iterdir())):
-                return cls.open(path)
+            there = cls.open_if_any(path)
+            if there is not None:
+                return there
             folder.mkdir(parents=True, exist_ok=True)
-            _write_atomically(folder / _MARKER, json.dumps({"format": _FORMAT}).encode())
+            write_atomically(folder / _MARKER, json.dumps({"format": _FORMAT}).encode())
         except OSError as error:
             raise UserError(f"{path}: a store cannot be made here: {error.strerror}") from None
         return cls(folder)
 
+    def shards(self, *, lenient: bool = False) -> list[Path]:
+        """Return the folders of the shards, by name, without those that a compacted one replaces.
+
+        Raises DamagedError when a compacted shard does not say which it replaces; `lenient` takes it to replace none. A folder in
+        the list may be gone by the time it is read, when the store is compacted meanwhile.
+        """
+        return [self.path / "shards" / name for name, _ in self._visible(lenient)]
+
+    def superseded(self) -> list[Path]:
+        """Return the folders that a compacted shard replaces and that are there still, of a compaction that was killed."""
+        found, replaced = _listed(self.path / "shards", lenient=True)
+        return [self.path / "shards" / name for name, _ in found if name in replaced]
+
+    def _visible(self, lenient: bool) -> list[tuple[str, int]]:
+        """Return names and inodes. A listing that a compaction falls into may miss the old and the new: it must repeat itself."""
+        known = None
+        while True:
+            with contextlib.suppress(FileNotFoundError):  # a compacted shard that is compacted again just now
+                found, replaced = _listed(self.path / "shards", lenient)
+                if found == known:
+                    return [key for key in found if key[0] not in replaced]
+                known = found
+
     def finished_trials(self) -> set[str]:
-        """Return the trials whose rows are in the store. Raises UserError naming a file that cannot be read."""
-        for file in self.path.glob("shards/*/trials.parquet"):
-            if file.parent.name not in self._read_shards:  # a committed shard never changes
-                self._read_shards[file.parent.name] = _trials_in(file)
-        return set().union(*self._read_shards.values())
+        """Return the trials whose rows are in the store.
+
+        Raises DamagedError naming a file that cannot be read, is missing, or is not of the size that was written.
+        """
+        return set(self._finished(check=True))
+
+    def _finished(self, check: bool) -> set[str]:
+        """Without `check` a shard has only to say which trials it holds: nothing else in it is a reason not to commit."""
+        while True:
+            visible = self._visible(lenient=not check)
+            try:
+                for key in visible:  # what a folder holds never changes
+                    folder = self.path / "shards" / key[0]
+                    if check and key not in self._checked:
+                        manifest.check_sizes(folder)
+                        self._checked.add(key)
+                    if key not in self._trials:
+                        self._trials[key] = shard_files.trials_in(folder)
+            except FileNotFoundError:  # compacted since it was listed
+                continue
+            now = frozenset(visible)
+            before, trials = self._finished_in
+            if not before <= now:
+                before, trials = frozenset(), set()
+            trials.update(*(self._trials[key] for key in now - before))
+            self._finished_in = now, trials
+            return trials
 
     def commit(self, shard: str, tables: ShardTables) -> int:
-        """Make a shard's rows visible, all at once; return how many trials were new."""
-        staging = self.path / ".staging" / f"{shard}-{socket.gethostname()}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
-        staging.mkdir(parents=True)
+        """Make a shard's rows visible, all at once; return how many trials were new.
+
+        Raises UnwritableError, a UserError and an OSError, when the store cannot be written to; nothing is visible then, or all.
+        """
+        return self._commit(shard, tables.trials["trial"].to_pylist(), lambda to: shard_files.write(to, tables), lambda: tables)
+
+    def commit_copy(self, shard: str, source: Path) -> int:
+        """Commit a copy of the folder of another store's shard; of trials that are here, the rows are left out.
+
+        Returns how many trials were new. Raises as `commit` does, and DamagedError for a file that is not what was written there.
+        """
+        trials = shard_files.trials_in(source)
+        return self._commit(shard, trials, lambda to: shard_files.copy(source, to), lambda: shard_files.read(source))
+
+    def _commit(self, shard: str, trials: Iterable[str], write: Callable[[Path], None], read: Callable[[], ShardTables]) -> int:
+        new = set(trials)
+        with self.staged(shard) as staging:
+            write(staging)
+            with self.locked():
+                present = self._finished(check=False) & new
+                new -= present
+                if present and new:
+                    shard_files.write(staging, read().without(present))
+                if new:
+                    self.publish(staging, self.free_name(shard))
+        self._forget_failures(new)
+        return len(new)
+
+    def free_name(self, shard: str) -> str:
+        """Return the name, or where it is taken one that begins with it: the rest of a shard may come after the first part."""
+        found, replaced = _listed(self.path / "shards", lenient=True)
+        return f"{shard}-{uuid.uuid4().hex[:8]}" if shard in replaced.union(name for name, _ in found) else shard
+
+    @contextlib.contextmanager
+    def staged(self, shard: str) -> Iterator[Path]:
+        """Make a folder to write a shard's files to. It is removed afterwards, unless `publish` gave it its place.
+
+        An OSError in the block, of whatever is written, becomes an UnwritableError.
+        """
+        folder = self.path / ".staging" / f"{shard}-{socket.gethostname()}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
         try:
-            _write_tables(staging, tables)
-            with self._locked():
-                present = self.finished_trials() & set(tables.trials["trial"].to_pylist())
-                if present:
-                    tables = tables.without(present)
-                    _write_tables(staging, tables)
-                if tables.trials.num_rows:
-                    final = self.path / "shards" / shard
-                    final.parent.mkdir(exist_ok=True)
-                    staging.rename(final)
-                    _flush_folder(final.parent)
+            folder.mkdir(parents=True)
+            yield folder
+        except UserError:
+            raise
+        except OSError as error:
+            raise UnwritableError(f"{self.path}: cannot be written to: {error.strerror or error}", error.errno) from error
         finally:
-            shutil.rmtree(staging, ignore_errors=True)
-        self._forget_failures(set(tables.trials["trial"].to_pylist()))
-        return tables.trials.num_rows
+            shutil.rmtree(folder, ignore_errors=True)
 
-    def study_trials(self, name: str) -> set[str]:
-        """Return the trials that a study needed when it was written last."""
-        file = self.path / "studies" / name / "members.parquet"
-        return _trials_in(file) if file.exists() else set()
+    def publish(self, staging: Path, shard: str) -> None:
+        """Make a staged folder visible as a shard of a name that is free. To be called under the lock."""
+        final = self.path / "shards" / shard
+        if not final.parent.exists():
+            final.parent.mkdir()
+            flush_folder(self.path)
+        staging.rename(final)
+        flush_folder(final.parent)
 
-    def write_study(self, name: str, grid: str, members: pa.Table) -> None:
-        """Write down what a study needs; nothing is touched when that is there already. Raises UserError if it cannot."""
-        folder = self.path / "studies" / name
-        sink = pa.BufferOutputStream()
-        pq.write_table(members, sink, compression="zstd")
-        contents = {folder / "grid.toml": grid.encode(), folder / "members.parquet": sink.getvalue().to_pybytes()}
-        for file, content in contents.items():
-            try:
-                if not file.exists() or file.read_bytes() != content:
-                    folder.mkdir(parents=True, exist_ok=True)
-                    _write_atomically(file, content)
-            except OSError as error:
-                raise UserError(f"{self.path}: the study cannot be written to this store: {error.strerror}") from None
+    def discard(self, shards: Iterable[Path]) -> None:
+        """Remove shards that others replace: each disappears at once, whatever happens while its files are removed."""
+        for folder in shards:
+            with self.staged(folder.name) as grave, contextlib.suppress(FileNotFoundError):  # another compaction was faster
+                folder.rename(grave / folder.name)
 
-    def record_failure(self, shard: str, trials: list[str], host: str, error: str) -> None:
-        """Write down why a shard could not be trained, if that can be written."""
-        file = self.path / "failures" / f"{shard}.json"
+    def quarantine(self, shard: str) -> Path:
+        """Move a shard's folder to `.quarantine`, and return where it is now: its trials are missing then.
+
+        Raises UserError when there is no such shard, UnwritableError when it cannot be moved.
+        """
+        folder = self.path / "shards" / shard
+        moment = datetime.datetime.now(datetime.UTC).strftime("%Y%m%dT%H%M%S")
+        target = self.path / ".quarantine" / f"{shard}-{moment}-{uuid.uuid4().hex[:4]}"
+        if folder.parent != self.path / "shards" or not folder.is_dir():
+            raise UserError(f'{self.path}: there is no shard "{shard}"')
+        try:
+            target.parent.mkdir(exist_ok=True)
+            with self.locked():
+                folder.rename(target)
+                flush_folder(target.parent)
+                flush_folder(folder.parent)
+        except OSError as error:
+            raise UnwritableError(f"{folder}: cannot be moved: {error.strerror or error}", error.errno) from error
+        return target
+
+    def check_writable(self) -> None:
+        """Raise UnwritableError when nothing could be committed: better before training than after."""
+        with self.staged("check") as folder, flushed(folder / "file") as sink:
+            sink.write(b"0")
+
+    def studies(self) -> list[str]:
+        """Return the names of the studies that were written to the store."""
+        return [name for name, _ in _folders_in(self.path / "studies")]
+
+    def study_source(self, name: str) -> tuple[str, tuple[str, ...]]:
+        """Return a study's grid, as its file's text, and what `--set` changed of it. Raises UserError for an unknown study."""
+        try:
+            return study_files.source(self.path / "studies" / name)
+        except FileNotFoundError:
+            known = suggestion(name, self.studies()) if self.studies() else "it has no study yet"
+            raise UserError(f'{self.path}: there is no study "{name}" in this store; {known}') from None
+
+    def study_trials(self, name: str, stage: str | None = None) -> set[str]:
+        """Return the trials that a study needed when it was written last, in one stage or in all."""
+        return study_files.trials(self.path / "studies" / name, stage)
+
+    def write_study(self, name: str, grid: str, members: pa.Table, overrides: Sequence[str] = ()) -> None:
+        """Write down what a study needs: its grid, what `--set` changed of it, its trials. Raises UnwritableError if it cannot.
+
+        Nothing is touched when that is there already.
+        """
+        study_files.write(self.path / "studies" / name, grid, members, overrides)
+
+    def record_failure(self, shard: str, trials: Sequence[Trial], reason: str, host: str, error: str, attempts: int = 1) -> None:
+        """Write down why a shard could not be trained (`failures.REASONS`), if that can be written."""
+        now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+        failure = Failure(tuple(identity_columns(trial) for trial in trials), reason, host, error, attempts, now)
+        file = self.path / failures.FOLDER / f"{shard}.json"
         with contextlib.suppress(OSError):
             file.parent.mkdir(exist_ok=True)
-            _write_atomically(file, json.dumps({"trials": trials, "host": host, "error": error}, indent=1).encode())
+            write_atomically(file, failure.to_json())
+
+    def failures(self) -> list[Failure]:
+        """Return what could not be trained, the oldest first, without trials that are finished by now."""
+        recorded = failures.read(self.path).values()
+        finished = self._finished(check=False) if recorded else set()
+        left = []
+        for failure in recorded:
+            trials = tuple(trial for trial in failure.trials if trial["trial"] not in finished)
+            if trials:
+                left.append(dataclasses.replace(failure, trials=trials))
+        return left
 
     def _forget_failures(self, finished: set[str]) -> None:
         """Drop the records of failures whose trials have been trained since."""
-        for file in self.path.glob("failures/*.json"):
-            with contextlib.suppress(OSError, ValueError):
-                trials = set(json.loads(file.read_text("utf-8"))["trials"])
-                if trials & finished and trials <= self.finished_trials() | finished:
+        for file, failure in failures.read(self.path).items():
+            trials = {trial["trial"] for trial in failure.trials}
+            with contextlib.suppress(OSError, UserError):
+                if trials & finished and trials <= self._finished(check=False):
                     file.unlink()
 
     def clean_up(self) -> None:
         """Remove what killed workers left behind a day ago or earlier; it was never visible."""
         for folder in self.path.glob(".staging/*"):
             with contextlib.suppress(OSError):
-                if time.time() - folder.stat().st_mtime > _STALE_SECONDS:
+                if is_stale(folder):
                     shutil.rmtree(folder, ignore_errors=True)
 
     def report_progress(self, shard: str, agent_steps: int) -> None:
@@ -146,7 +290,7 @@ class Store:
         file = self.path / ".progress" / shard
         with contextlib.suppress(OSError):
             file.parent.mkdir(exist_ok=True)
-            _write_atomically(file, str(agent_steps).encode(), flush=False)
+            write_atomically(file, str(agent_steps).encode(), flush=False)
 
     def progress(self, shards: list[str]) -> int:
         """Return the agent-steps reported for shards that are under way."""
@@ -162,10 +306,16 @@ class Store:
             (self.path / ".progress" / shard).unlink(missing_ok=True)
 
     @contextlib.contextmanager
-    def _locked(self) -> Iterator[None]:
+    def locked(self) -> Iterator[None]:
+        """Hold the store's lock: nobody else makes shards visible, or moves them away."""
         with open(self.path / ".lock", "a") as file:
             fcntl.flock(file, fcntl.LOCK_EX)
             yield
+
+
+def is_stale(file: Path) -> bool:
+    """Return whether a file or folder is so old that nobody works on it any longer. Raises OSError."""
+    return time.time() - file.stat().st_mtime > STALE_SECONDS
 
 
 def _is_beginning(file: Path) -> bool:
@@ -173,59 +323,24 @@ def _is_beginning(file: Path) -> bool:
     return file.name.startswith(f".{_MARKER}-")
 
 
-def _trials_in(file: Path) -> set[str]:
+def _folders_in(folder: Path) -> list[tuple[str, int]]:
+    """Return the folders in one as (name, inode), by name; none when there is no such folder."""
     try:
-        return set(pq.read_table(file, columns=["trial"], partitioning=None)["trial"].to_pylist())
-    except (OSError, pa.ArrowException) as error:
-        raise UserError(f"{file}: is damaged and cannot be read: {error}") from None
+        with os.scandir(folder) as entries:
+            return sorted((entry.name, entry.inode()) for entry in entries if entry.name[0] != "." and entry.is_dir())
+    except FileNotFoundError:
+        return []
 
 
-def _write_tables(folder: Path, tables: ShardTables) -> None:
-    """Write and flush the files. Of `steps`, one row group at a time is in memory, however long the trials.
-
-    `steps` costs about as much as the episodes because the step numbers are stored as differences and the returns by
-    dictionary and run length: plain encodings are a hundred times larger.
-    """
-    _write_table(folder / "trials.parquet", tables.trials)
-    _write_table(folder / "episodes.parquet", tables.episodes)
-    if tables.evaluations is not None:
-        _write_table(folder / "evaluations.parquet", tables.evaluations)
-    encodings = {"use_dictionary": ["trial", "episodic_return"], "column_encoding": {"step": "DELTA_BINARY_PACKED"}}
-    with _flushed(folder / "steps.parquet") as sink, pq.ParquetWriter(sink, schema.STEPS, **_WRITING, **encodings) as writer:
-        for batch in tables.steps_in_blocks(_ROW_GROUP_ROWS):
-            writer.write_batch(batch)
-    _flush_folder(folder)
-
-
-def _write_table(file: Path, table: pa.Table) -> None:
-    with _flushed(file) as sink:
-        pq.write_table(table, sink, **_WRITING)
-
-
-@contextlib.contextmanager
-def _flushed(file: Path) -> Iterator[IO[bytes]]:
-    """Open a file to write to; what was written is on disk afterwards."""
-    with open(file, "wb") as sink:
-        yield sink
-        sink.flush()
-        os.fsync(sink.fileno())
-
-
-def _write_atomically(file: Path, content: bytes, flush: bool = True) -> None:
-    temporary = file.with_name(f".{file.name}-{os.getpid()}-{uuid.uuid4().hex[:8]}")
-    with open(temporary, "wb") as sink:
-        sink.write(content)
-        if flush:
-            sink.flush()
-            os.fsync(sink.fileno())
-    temporary.replace(file)
-    if flush:
-        _flush_folder(file.parent)
-
-
-def _flush_folder(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+def _listed(shards: Path, lenient: bool) -> tuple[list[tuple[str, int]], set[str]]:
+    """Return the folders in `shards`, and the names that compacted ones replace. Raises DamagedError, FileNotFoundError."""
+    found = _folders_in(shards)
+    replaced: set[str] = set()
+    for name, _ in found:
+        if name.startswith(manifest.COMPACTED):
+            try:
+                replaced.update(manifest.read_written(shards / name).replaces)
+            except manifest.DamagedError:
+                if not lenient:
+                    raise
+    return found, replaced

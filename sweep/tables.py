@@ -4,7 +4,7 @@ Scores of a run (thesis section 6.1; names as in the tables): the budget-cut las
 """
 
 import datetime
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -88,15 +88,22 @@ class ShardTables:
         return ShardTables(*(table.filter(pc.is_in(table["trial"], kept)) for table in tables))
 
 
-def shard_tables(trials: Sequence[Trial], records: EpisodeColumns, wall_seconds: float, provenance: Provenance) -> ShardTables:
+def shard_tables(
+    trials: Sequence[Trial], records: EpisodeColumns, wall_seconds: float | Sequence[float], provenance: Provenance
+) -> ShardTables:
     """Return the tables of trials that were trained together, agent p of the records being trial p.
 
+    `wall_seconds` are those of all trials together; or each trial's own, of trials that were trained one after another.
     Raises ValueError when the episodes do not fill the trials' steps.
     """
     if records.length.sum() != len(trials) * records.steps:
         raise ValueError(
             f"the episodes have {records.length.sum():,} steps: {len(trials):,} trials of {records.steps:,} were trained"
         )
+    if isinstance(wall_seconds, float | int):
+        each, population = [wall_seconds / len(trials)] * len(trials), len(trials)
+    else:
+        each, population = list(wall_seconds), 1
     ids = [trial.id for trial in trials]
     episodes = {
         "trial": pa.DictionaryArray.from_arrays(pa.array(records.agent, pa.int32()), pa.array(ids, pa.string())),
@@ -108,10 +115,10 @@ def shard_tables(trials: Sequence[Trial], records: EpisodeColumns, wall_seconds:
     }
     rows = [
         {
-            **_identity_columns(trial),
+            **identity_columns(trial),
             **run_scores(records, agent),
-            "wall_seconds": wall_seconds / len(trials),
-            "population": len(trials),
+            "wall_seconds": each[agent],
+            "population": population,
             **provenance.columns(),
             "finished_at": datetime.datetime.now(datetime.UTC),
         }
@@ -133,7 +140,8 @@ def _evaluations_table(ids: list[str], evaluations: Any) -> pa.Table | None:
     return pa.table({"trial": trial, **columns, "ending": ending}, schema.EVALUATIONS)
 
 
-def _identity_columns(trial: Trial) -> dict[str, Any]:
+def identity_columns(trial: Trial) -> dict[str, Any]:
+    """Return the columns of `trials` that are known before a trial is trained."""
     return {
         "trial": trial.id,
         "setting": trial.setting,
@@ -180,18 +188,41 @@ def run_scores(records: EpisodeColumns, agent: int) -> dict[str, Any]:
     }
 
 
-def members_table(study: str, stage: str, trials: Sequence[Trial]) -> pa.Table:
-    """Return the trials that a study needs, with the hyperparameters of all its agents as columns.
+def members_table(study: str, stages: Mapping[str, Sequence[Trial]]) -> pa.Table:
+    """Return the trials that a study needs, stage by stage (`schema.STAGES`), with the hyperparameters of all agents as columns.
 
-    A hyperparameter that is of different types in different agents becomes a text.
+    A trial that two stages need has two rows. A hyperparameter that is of different types in different agents becomes a text.
     """
-    hypers: dict[str, Any] = {}
+    stage_names = [stage for stage, trials in stages.items() for _ in trials]
+    members = [trial for trials in stages.values() for trial in trials]
+    # a setting's hyperparameters are looked at once: most trials differ by their seeds alone
+    number_of: dict[tuple[str, int], int] = {}
+    settings: list[dict[str, Any]] = []
+    owner = np.empty(len(members), np.int64)
+    for position, trial in enumerate(members):
+        number = number_of.setdefault((trial.environment, id(trial.hypers)), len(settings))
+        if number == len(settings):
+            settings.append(trial.applicable_hypers)
+        owner[position] = number
+    hypers = _one_type_each(settings)
+    columns: dict[str, Any] = {"study": [study] * len(members), "stage": stage_names}
+    for name in ("id", "setting", "agent", "environment", "seed", "steps"):
+        columns["trial" if name == "id" else name] = [getattr(trial, name) for trial in members]
+    types = schema.with_hypers(schema.MEMBERS, hypers)
+    for name in hypers:
+        columns[name] = pa.array([setting.get(name) for setting in settings], types.field(name).type).take(pa.array(owner))
+    return pa.table({name: columns[name] for name in types.names}, types)
+
+
+def _one_type_each(settings: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return a value of each hyperparameter; those of several types are made texts in all settings."""
+    samples: dict[str, Any] = {}
     texts: set[str] = set()
-    for trial in trials:
-        for name, value in trial.applicable_hypers.items():
-            if schema.hyper_field(name, hypers.setdefault(name, value)).type != schema.hyper_field(name, value).type:
+    for setting in settings:
+        for name, value in setting.items():
+            sample = samples.setdefault(name, value)
+            if sample is not value and schema.hyper_field(name, sample).type != schema.hyper_field(name, value).type:
                 texts.add(name)
-    hypers |= dict.fromkeys(texts, "")
-    rows = [{"study": study, "stage": stage, **_identity_columns(trial)} for trial in trials]
-    rows = [row | {name: str(row[name]) for name in texts if name in row} for row in rows] if texts else rows
-    return pa.Table.from_pylist(rows, schema.with_hypers(schema.MEMBERS, hypers))
+    if texts:
+        settings[:] = [{name: str(v) if name in texts else v for name, v in setting.items()} for setting in settings]
+    return samples | dict.fromkeys(texts, "")

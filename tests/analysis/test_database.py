@@ -1,6 +1,8 @@
 """A connection: what it finds in a store, and what it is denied."""
 
+import json
 import math
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -9,13 +11,19 @@ import duckdb
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+import small_shards
 from synthetic_store import SyntheticStore, build
 
+from agents.hypers import FreeHypers
 from agents.registry import ALGORITHMS
 from analysis import connect
 from analysis.database import view_sources
+from analysis.query import short_message
 from sweep import schema
+from sweep.compaction import compact
 from sweep.messages import UserError
+from sweep.store import Store
+from sweep.trials import Trial
 
 HYPERS = {name for algorithm in ALGORITHMS.values() for name in algorithm.hypers.table}
 
@@ -27,7 +35,7 @@ def columns(connection: duckdb.DuckDBPyConnection, view: str) -> list[str]:
 def test_every_table_and_view_of_an_empty_store_is_typed_and_empty(empty_store):
     connection = connect(empty_store)
     names = [row[0] for row in connection.execute("SHOW TABLES").fetchall()]
-    assert set(names) == {"trials", "episodes", "evaluations", "steps", "members"} | view_sources().keys()
+    assert set(names) == {"trials", "episodes", "evaluations", "steps", "members", "selections"} | view_sources().keys()
     filled = [name for name in names if connection.execute(f"SELECT count(*) FROM {name}").fetchone()[0]]
     assert filled == ["student_quantiles"]
 
@@ -42,6 +50,90 @@ def test_columns_are_those_of_the_schema(connection):
     assert columns(connection, "episodes") == schema.EPISODES.names
     assert columns(connection, "steps") == schema.STEPS.names
     assert set(columns(connection, "members")) == set(schema.MEMBERS.names) | HYPERS
+
+
+def test_failed_trials_have_their_identity_and_nothing_else(tmp_path):
+    store = Store(SyntheticStore(tmp_path).write_studies())
+    store.commit("shard", small_shards.tables([0]))
+    store.record_failure("x", [small_shards.trial(0), small_shards.trial(1)], "lost", "node", "gone")
+    store.record_failure("y", [Trial("SAC", "Pendulum-CA", FreeHypers(depth="deep"), 7, 5, 1000, 0.99)], "lost", "node", "gone")
+    old = {"trials": ["0" * 16], "host": "node", "error": "boom"}
+    (tmp_path / "failures" / "old.json").write_text(json.dumps(old))
+    connection = connect(tmp_path)
+    rows = connection.execute(
+        "SELECT seed, status, agent, steps, entropy_scale, hidden_layers, depth, episodes, episode_mean, host"
+        " FROM trials ORDER BY seed"
+    ).fetchall()
+    assert [row[:7] for row in rows] == [
+        (0, "finished", "SAC", 1000, 0.01, [64, 64], None),
+        (1, "failed", "SAC", 1000, 0.01, [64, 64], None),
+        (7, "failed", "SAC", 5, None, None, "deep"),
+        (None, "failed", None, None, None, None, None),
+    ]
+    assert [row[7:] for row in rows[1:]] == [(None, None, None)] * 3
+    store.commit("later", small_shards.tables([1]))
+    assert connect(tmp_path).execute("SELECT count(*) FROM trials WHERE status = 'failed'").fetchone() == (2,)
+    assert connection.execute("SELECT count(*) FROM trials WHERE seed = 1 AND status = 'failed'").fetchone() == (1,)
+
+
+def test_a_trial_that_failed_twice_has_one_row_and_a_number_beside_texts_is_a_text(tmp_path):
+    store = Store(SyntheticStore(tmp_path).write_studies())
+    for shard, depth in (("a", 2), ("b", "deep"), ("c", 2)):
+        trial = Trial("SAC", "Pendulum-CA", FreeHypers(depth=depth), 7, 5, 1000, 0.99)
+        store.record_failure(shard, [trial], "lost", "node", "gone")
+    assert connect(tmp_path).execute("SELECT depth FROM trials ORDER BY depth").fetchall() == [("2",), ("deep",)]
+
+
+def test_selections_of_studies_are_a_table(tmp_path):
+    row = dict.fromkeys(schema.SELECTIONS.names) | {
+        "study": "demo",
+        "agent": "SAC",
+        "on_edge": ["entropy_scale"],
+        "temperature": 0.5,
+    }
+    store = SyntheticStore(tmp_path)
+    store.plan("demo", "SAC", "Pendulum-CA", 0)
+    columns = schema.with_hypers(schema.SELECTIONS, {"temperature": 0.5}, after="setting")
+    pq.write_table(pa.Table.from_pylist([row], columns), store.write_studies() / "studies" / "demo" / "selections.parquet")
+    found = connect(tmp_path).execute("SELECT study, on_edge, temperature, entropy_scale FROM selections").fetchall()
+    assert found == [("demo", ["entropy_scale"], 0.5, None)]
+
+
+@pytest.mark.parametrize("table", ["trials", "episodes", "steps"])
+def test_a_truncated_file_is_named_when_the_store_is_opened(tmp_path, table):
+    store = Store.create(tmp_path)
+    store.commit("shard", small_shards.tables([0]))
+    file = tmp_path / "shards" / "shard" / f"{table}.parquet"
+    size = file.stat().st_size
+    os.truncate(file, size - 1)
+    with pytest.raises(
+        UserError, match=f"{table}.parquet: is damaged: {size - 1:,} bytes, {size:,} were written; `sweep verify` says"
+    ):
+        connect(tmp_path)
+
+
+def test_a_compacted_store_has_the_same_rows_also_before_the_old_folders_are_gone(tmp_path, monkeypatch):
+    store = Store.create(tmp_path)
+    for seed in range(3):
+        store.commit(f"shard-{seed}", small_shards.tables([seed]))
+    queries = [f"SELECT * FROM {table} ORDER BY ALL" for table in ("trials", "episodes", "steps")]
+    before = [connect(tmp_path).sql(query).to_arrow_table() for query in queries]
+    monkeypatch.setattr(Store, "discard", lambda *_: None)
+    compact(store)
+    assert len(list(tmp_path.glob("shards/*"))) == 4
+    assert [connect(tmp_path).sql(query).to_arrow_table() for query in queries] == before
+
+
+def test_a_query_that_a_compaction_falls_into_says_so(tmp_path, monkeypatch):
+    store = Store.create(tmp_path)
+    for seed in range(3):
+        store.commit(f"shard-{seed}", small_shards.tables([seed]))
+    early = connect(tmp_path)
+    compact(store)
+    with pytest.raises(duckdb.Error) as error:
+        early.execute("SELECT count(DISTINCT episodic_return) FROM steps").fetchall()
+    assert short_message(error.value) == "the store was compacted meanwhile: ask again"
+    assert connect(tmp_path).execute("SELECT count(*) FROM steps").fetchone() == (3000,)
 
 
 def test_a_hyperparameter_of_an_unregistered_algorithm_becomes_a_column(tmp_path):

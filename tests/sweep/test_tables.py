@@ -1,5 +1,6 @@
 """Scores of a run by hand, and the tables that a shard becomes."""
 
+import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -121,7 +122,7 @@ def test_a_hyperparameter_of_different_types_in_different_agents_becomes_a_text(
         Trial("GreedyAC", "Pendulum-CA", FreeHypers(depth="deep"), 0, 5, 1000, 0.99),
         Trial("GreedyAC", "Pendulum-CA", FreeHypers(other=True), 0, 5, 1000, 0.99),
     ]
-    table = members_table("study", "tune", trials)
+    table = members_table("study", {"tune": trials})
     assert table["depth"].to_pylist() == ["2", "deep", None]
     assert table["other"].to_pylist() == [None, None, True]
 
@@ -133,7 +134,55 @@ def test_members_have_the_hyperparameters_of_all_agents_as_columns():
         Trial("SAC", "Pendulum-CA", SACHypers(), 0, 5, 1000, 0.99),
         Trial("GreedyAC", "Pendulum-CA", GreedyACHypers(), 0, 5, 1000, 0.99),
     ]
-    table = members_table("study", "tune", trials)
+    table = members_table("study", {"tune": trials})
     assert table["num_action_samples"].to_pylist() == [None, 30]
     assert table["entropy_scale"].to_pylist() == [0.01, 0.01]
     assert table["study"].to_pylist() == ["study"] * 2
+
+
+def test_a_trial_that_two_stages_need_has_a_row_in_each():
+    first, second, third = (Trial("SAC", "Pendulum-CA", SACHypers(), seed, 5, 1000, 0.99) for seed in (0, 1, 2))
+    table = members_table("study", {"tune": [first, second], "evaluate": [second, third]})
+    assert table["stage"].to_pylist() == ["tune", "tune", "evaluate", "evaluate"]
+    assert table["trial"].to_pylist() == [first.id, second.id, second.id, third.id]
+    assert table["seed"].to_pylist() == [0, 1, 1, 2]
+    assert members_table("study", {"tune": [], "evaluate": []}).num_rows == 0
+
+
+def test_members_are_the_same_rows_that_each_trial_says_of_itself():
+    """Settings that share an object and settings that do not, on environments where other hyperparameters apply."""
+    from agents.hypers import GreedyACHypers
+
+    shared = GreedyACHypers(entropy_scale=0.5)
+    trials = [
+        Trial("GreedyAC", environment, hypers, seed, 5, 1000, 0.99)
+        for environment in ("Pendulum-CA", "Pendulum-DA")
+        for hypers in (shared, GreedyACHypers(), GreedyACHypers(hidden_layers=(8,)))
+        for seed in (3, 4)
+    ]
+    rows = members_table("study", {"tune": trials}).to_pylist()
+    for trial, row in zip(trials, rows, strict=True):
+        said = {"study": "study", "stage": "tune", "trial": trial.id, "setting": trial.setting, "agent": trial.agent}
+        said |= {"environment": trial.environment, "seed": trial.seed, "steps": 5}
+        hypers = {name: list(value) if isinstance(value, tuple) else value for name, value in trial.applicable_hypers.items()}
+        assert {name: value for name, value in row.items() if value is not None} == said | hypers
+    assert "entropy_scale" not in trials[-1].applicable_hypers
+
+
+def test_members_of_a_large_study_are_quickly_made():
+    from agents.hypers import GreedyACHypers
+
+    settings = [GreedyACHypers(critic_step_size=0.1 / number) for number in range(1, 577)]
+    trials = [Trial("GreedyAC", "Pendulum-CA", hypers, seed, 5, 1000, 0.99) for hypers in settings for seed in range(100)]
+    for trial in trials:
+        trial.__dict__.update(id=f"{trial.seed:016x}", setting="a" * 16)  # hashing them is not what is timed
+    started = time.perf_counter()
+    assert members_table("study", {"tune": trials}).num_rows == 57_600
+    assert time.perf_counter() - started < 1.5
+
+
+def test_each_trial_may_have_a_time_of_its_own():
+    trials = [Trial("SAC", "Pendulum-CA", SACHypers(), seed, 5, 1000, 0.99) for seed in (0, 1)]
+    tables = shard_tables(trials, records([(5, 1, 0)], [(5, 3, 1)]), [1.0, 5.0], PROVENANCE)
+    assert tables.trials["wall_seconds"].to_pylist() == [1.0, 5.0]
+    assert tables.trials["population"].to_pylist() == [1, 1]
