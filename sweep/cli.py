@@ -9,7 +9,7 @@ from typing import Any
 
 import typer
 
-from sweep.commands import launch, plan, results, retry, upkeep, watch
+from sweep.commands import init, launch, plan, results, retry, upkeep, watch
 from sweep.messages import UserError
 
 app = typer.Typer(
@@ -28,6 +28,7 @@ def _root() -> None:
 
 # in the order in which a study is lived with
 for command in (
+    init.init,
     plan.plan,
     launch.launch,
     watch.status,

@@ -180,15 +180,19 @@ def _comparable(column: pa.ChunkedArray) -> np.ndarray:
 
 
 def _merge_study(store: Store, other: Store, study: str, report: MergeReport) -> None:
-    """Bring a study that is missing, and a selection; say where they differ."""
+    """Bring a study that is missing or has more trials there, and a selection; say where they differ."""
     ours, theirs = (known.path / "studies" / study for known in (store, other))
     if not (theirs / study_files.MEMBERS).exists():
         return
     try:
-        if not (ours / study_files.MEMBERS).exists():
+        here = _members(ours) if (ours / study_files.MEMBERS).exists() else set()
+        there = _members(theirs)
+        if here < there:  # missing here, or further along there
             _copy(theirs, ours, (study_files.GRID, study_files.OVERRIDES, _SELECTION, study_files.MEMBERS))
             report.studies.append(study)
-        elif _members(ours) != _members(theirs):
+        elif there < here:
+            return
+        elif here != there:
             report.study_conflicts.append(f"study {study} of {other.path} has other trials than this store's: it was left out")
         elif not (ours / _SELECTION).exists():
             if (theirs / _SELECTION).exists():

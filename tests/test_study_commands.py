@@ -247,6 +247,20 @@ def test_two_launches_at_once_share_the_work(mine):
     assert sorted((row["x"], row["seed"]) for row in rows(mine)) == [(x, seed) for x in (1, 2, 3) for seed in range(6)]
 
 
+def test_a_grid_to_begin_with_is_a_study_and_overwrites_nothing(tmp_path):
+    ran = sweep("init", cwd=tmp_path)
+    assert (ran.returncode, ran.stdout) == (0, "wrote grid.toml; change it, then: sweep plan grid.toml\n")
+    found = json.loads(sweep("plan", "grid.toml", "--no-pilot", "--json", cwd=tmp_path).stdout)
+    assert found["stages"]["tune"]["trials"] == (3 * 2 * 4 + 3 * 2 * 2) * 5
+    (tmp_path / "grid.toml").write_text("mine")
+    ran = sweep("init", cwd=tmp_path)
+    assert (ran.returncode, ran.stderr) == (1, "error: grid.toml: is there already; `sweep init PATH` writes another\n")
+    assert (tmp_path / "grid.toml").read_text() == "mine"
+    (tmp_path / "there").mkdir()
+    assert sweep("init", "there", cwd=tmp_path).returncode == 0
+    assert "sweep launch there/grid.toml" in (tmp_path / "there" / "grid.toml").read_text()
+
+
 @pytest.mark.parametrize("name", ["nobody", "abc"])
 def test_names_that_lead_nowhere_are_told_so(mine, name):
     launch(mine)

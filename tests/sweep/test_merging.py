@@ -125,7 +125,7 @@ def test_studies_and_selections_are_brought_compared_and_never_overwritten(store
     choose(store, "same", selection(at=6))
     choose(store, "reselected", selection(hypers='{"a": 1}'))
     store.write_study("different", "grid", members_table("different", needed))
-    other.write_study("different", "grid", members_table("different", {**needed, "evaluate": [trial(0)]}))
+    other.write_study("different", "grid", members_table("different", {"tune": [trial(0), trial(2)]}))
     for _ in range(2):
         report = merge(store, [other])
         assert [sentence.split()[1] for sentence in report.study_conflicts] == ["different", "reselected"]
@@ -137,6 +137,20 @@ def test_studies_and_selections_are_brought_compared_and_never_overwritten(store
     for study in ("missing", "unselected"):
         files = [known.path / "studies" / study / "selections.parquet" for known in (store, other)]
         assert files[0].read_bytes() == files[1].read_bytes()
+
+
+def test_of_a_study_that_is_further_along_in_one_store_that_one_is_taken(store, other):
+    needed = {"tune": [trial(0), trial(1)]}
+    further = {**needed, "evaluate": [trial(2)]}
+    for name, mine, theirs in (("behind", needed, further), ("ahead", further, needed)):
+        store.write_study(name, "grid", members_table(name, mine))
+        other.write_study(name, "grid", members_table(name, theirs))
+    choose(other, "behind", selection(at=5))
+    report = merge(store, [other])
+    assert (report.study_conflicts, report.studies) == ([], ["behind"])
+    for name in ("behind", "ahead"):
+        assert store.study_trials(name, "evaluate") == {trial(2).id}
+    assert (store.path / "studies" / "behind" / "selections.parquet").exists()
 
 
 def test_failures_are_not_brought(store, other):
