@@ -10,6 +10,10 @@ Argument = TypeVar("Argument")
 Result = TypeVar("Result")
 
 
+class ExecutorDiedError(Exception):
+    """The executor itself is gone, with whatever it ran: no shard is to blame. The message is its last word."""
+
+
 class Executor(Protocol):
     """Runs shards somewhere. `slots` is how many can run at once, `slots_on_a_machine` how many of them on one machine."""
 
@@ -29,7 +33,10 @@ class Executor(Protocol):
         ...
 
     def wait(self, seconds: float) -> list[Receipt]:
-        """Return the receipts that have come in, after at most about `seconds` when there are none."""
+        """Return the receipts that have come in, after at most about `seconds` when there are none.
+
+        Raises ExecutorDiedError when none will come any more.
+        """
         ...
 
     def close(self) -> None:

@@ -10,19 +10,21 @@ from typing import Any
 
 from cluster.backlog import Backlog, Failed
 from cluster.calibration import Calibrations, calibrate, reports
-from cluster.executor import Executor
+from cluster.executor import Executor, ExecutorDiedError
 from cluster.interrupts import Interrupts
 from cluster.progress import Progress
 from cluster.resuming import resumable
 from cluster.tally import Tally
 from cluster.worker import Receipt, Training, Work
 from sweep import launches
+from sweep.messages import UserError
 from sweep.plan import makespan
 from sweep.shards import Shard, Size, pack
 from sweep.store import Store
 from sweep.trials import Trial
 
 _IN_FLIGHT_PER_SLOT = 2
+_MOST_DEATHS = 3
 _POLL_SECONDS = 0.5
 _AS_USUAL = Training()
 
@@ -102,9 +104,9 @@ class Launch:
         Ctrl-C drains, and stops when it comes twice (`cluster.interrupts`). A store that cannot be written to any longer stops
         it, too; one that cannot at the start raises UserError.
         """
-        finished = self.store.finished_trials()
-        missing = [trial for trial in trials if trial.id not in finished]
-        summary = Summary(self.study, len(trials), len(trials) - len(missing), stage)
+        summary = Summary(self.study, len(trials), 0, stage)
+        missing = self._missing(trials)
+        summary.finished_before = len(trials) - len(missing)
         if not missing:
             return summary
         if self._executor is None:
@@ -116,8 +118,7 @@ class Launch:
         started = time.monotonic()
         try:
             with interrupts.handled():
-                shards = self._packed(missing[: self._left], self._executor)
-                _Run(self, self._executor, shards, summary, interrupts).to_the_end()
+                self._train(missing[: self._left], summary, interrupts)
         except KeyboardInterrupt:
             summary.interrupted = True
         summary.interrupted |= interrupts.draining
@@ -126,6 +127,30 @@ class Launch:
         if self._left is not None:
             self._left = max(0, self._left - summary.trained)
         return summary
+
+    def _missing(self, trials: Sequence[Trial]) -> list[Trial]:
+        finished = self.store.finished_trials()
+        return [trial for trial in trials if trial.id not in finished]
+
+    def _train(self, trials: Sequence[Trial], summary: Summary, interrupts: Interrupts) -> None:
+        """Train these trials; an executor that dies is started anew, a few times, for those that are still missing."""
+        deaths = 0
+        while True:
+            assert self._executor is not None
+            try:
+                run = _Run(self, self._executor, self._packed(trials, self._executor), summary, interrupts)
+                run.to_the_end()
+                return
+            except ExecutorDiedError as error:
+                deaths += 1
+                if deaths > _MOST_DEATHS:
+                    raise UserError(f"{self._executor.name} died {deaths} times: {error}") from None
+                self.progress.note(f"{self._executor.name} died, and is started again: {error}")
+                self._executor.close()
+                self._executor = self._start()
+                trials = run.still_missing(self._missing(trials))
+            if interrupts.draining:
+                return
 
     def _tell(self, what: str) -> None:
         self._heartbeat.ask_workers_to(what)
@@ -168,6 +193,7 @@ class _Run:
         self._tally = Tally.of(launch.study, summary.stage, shards)
         self._backlog = Backlog(shards, self._store.finished_trials, launch._neighbors.claimed)
         self._elsewhere = 0
+        self._given_up: set[str] = set()
 
     def to_the_end(self) -> None:
         with self._progress.running(self._tally, self._num_shards, self._executor.slots, self._update):
@@ -184,6 +210,17 @@ class _Run:
                     time.sleep(_POLL_SECONDS)
                 self._progress.tick()
             self._update()
+
+    def still_missing(self, missing: Sequence[Trial]) -> list[Trial]:
+        """Return those of the missing trials that are not given up, after the executor has died.
+
+        Shards that were committed and whose receipts were lost count as trained.
+        """
+        ids = {trial.id for trial in missing}
+        done = [trial for shard in self._in_flight.values() for trial in shard.trials if trial.id not in ids]
+        self._summary.trained += len(done)
+        self._summary.agent_steps += sum(trial.steps for trial in done)
+        return [trial for trial in missing if trial.id not in self._given_up]
 
     def _submit(self) -> None:
         while len(self._in_flight) < _IN_FLIGHT_PER_SLOT * self._executor.slots:
@@ -238,6 +275,7 @@ class _Run:
             return
         given_up = failed.shard.trials
         self._summary.failed += len(given_up)
+        self._given_up.update(trial.id for trial in given_up)
         self._tally.failed(given_up)
         self._store.record_failure(failed.shard.id, given_up, receipt.reason, receipt.host, receipt.error or "", failed.attempts)
         who = f"trial {given_up[0].id}" if len(given_up) == 1 else f"shard {failed.shard.id} ({len(given_up)} trials)"

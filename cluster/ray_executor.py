@@ -21,7 +21,7 @@ os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
 import ray
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
-from cluster.executor import Argument, Result
+from cluster.executor import Argument, ExecutorDiedError, Result
 from cluster.worker import Receipt, Work, run_shard
 from sweep.messages import UserError
 
@@ -123,6 +123,8 @@ class RayExecutor:
         work = self._running.pop(reference)
         try:
             return ray.get(reference)
+        except (ray.exceptions.LocalRayletDiedError, ray.exceptions.RaySystemError) as error:
+            raise ExecutorDiedError(str(error).strip().splitlines()[0]) from None
         except ray.exceptions.RayError as error:
             return Receipt(work.shard, "unknown", error=str(error) or repr(error), reason=_reason(error))
 
@@ -135,6 +137,6 @@ def _reason(error: Exception) -> str:
     """Return the class of a failure that the worker itself could not report."""
     if isinstance(error, ray.exceptions.OutOfMemoryError):
         return "memory"
-    if isinstance(error, ray.exceptions.NodeDiedError | ray.exceptions.RaySystemError):
+    if isinstance(error, ray.exceptions.NodeDiedError):
         return "lost"
     return "killed" if isinstance(error, ray.exceptions.WorkerCrashedError) else "exception"

@@ -9,10 +9,11 @@ import pytest
 from rich.console import Console
 
 import cluster.worker
-from cluster.executor import InProcessExecutor
+from cluster.executor import ExecutorDiedError, InProcessExecutor
 from cluster.launch import Training, launch
 from cluster.progress import Progress
 from sweep.grid import parse
+from sweep.messages import UserError
 from sweep.store import Store
 from sweep.trials import expand
 
@@ -304,3 +305,45 @@ def test_whether_a_gpu_may_round_reaches_the_training(tmp_path, monkeypatch, tf3
     monkeypatch.setattr(agents.training, "Run", spy)
     run(Store.create(tmp_path / "store"), training=Training(tf32=tf32))
     assert asked and set(asked) == {tf32}
+
+
+class Dies(InProcessExecutor):
+    """Dies after it has trained a number of shards, with one trained whose receipt nobody gets."""
+
+    def __init__(self, after):
+        super().__init__()
+        self.after = after
+
+    def wait(self, seconds):
+        receipts = super().wait(seconds)
+        self.after -= len(receipts)
+        if self.after < 0:
+            raise ExecutorDiedError("somebody killed it")
+        return receipts
+
+
+def test_an_executor_that_dies_is_started_again_for_what_is_missing(tmp_path):
+    store = Store.create(tmp_path)
+    lives = iter([0, 1, 9])
+    grid = GRID.replace("tune = 2", "tune = 20")  # six shards
+    summary, output = run(store, grid, lambda: Dies(next(lives)))
+    assert (summary.trained, summary.failed, summary.already_there) == (80, 0, 0)
+    assert summary.agent_steps == 80 * 60
+    assert output.count("in-process died, and is started again: somebody killed it") == 2
+    assert not (tmp_path / "failures").exists()
+
+
+def test_an_executor_that_does_not_live_is_given_up(tmp_path):
+    closed = []
+
+    class Stillborn(InProcessExecutor):
+        def wait(self, seconds):
+            raise ExecutorDiedError("no air")
+
+        def close(self):
+            closed.append(1)
+
+    with pytest.raises(UserError, match="in-process died 4 times: no air"):
+        run(Store.create(tmp_path), start=Stillborn)
+    assert len(closed) == 4
+    assert list((tmp_path / ".launches").glob("*.json")) == []
