@@ -36,7 +36,7 @@ class Interrupts:
             yield
         finally:
             for number, handler in before.items():
-                signal.signal(number, handler)
+                signal.signal(number, signal.SIG_DFL if handler is None else handler)
 
     def check(self) -> None:
         """Raise KeyboardInterrupt when the workers have had their time to stop."""

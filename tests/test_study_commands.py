@@ -1,7 +1,9 @@
 """Living with a study at the command line: status, failures, retry, run, --set, drain, two launches at once."""
 
+import contextlib
 import json
 import os
+import pty
 import signal
 import subprocess
 import sys
@@ -245,6 +247,34 @@ def test_two_launches_at_once_share_the_work(mine):
     assert sum(answer["trained"] for answer in answers) == 18
     assert min(answer["trained"] for answer in answers) >= 3
     assert sorted((row["x"], row["seed"]) for row in rows(mine)) == [(x, seed) for x in (1, 2, 3) for seed in range(6)]
+
+
+def at_a_terminal(cwd, answer, *arguments):
+    """Run a command at a terminal, answer its question, and return its exit code and what it showed."""
+    terminal, end = pty.openpty()
+    process = subprocess.Popen(
+        command(*arguments), cwd=cwd, env=environment(), stdin=end, stdout=end, stderr=end, start_new_session=True
+    )
+    os.close(end)
+    shown = b""
+    with contextlib.suppress(OSError):  # the terminal is gone with the process
+        while piece := os.read(terminal, 4096):
+            shown += piece
+            if b"Go on?" in shown and answer:
+                os.write(terminal, answer)
+                answer = b""
+    os.close(terminal)
+    return process.wait(60), shown.decode()
+
+
+def test_a_long_launch_asks_at_a_terminal_and_nothing_is_trained_without_consent(mine):
+    large = ("--set", "seeds.tune=100", "--set", "study.steps=100_000")
+    arguments = ("launch", "grid.toml", "--executor", "in-process", "--limit", "200", *large)
+    code, shown = at_a_terminal(mine, b"n\n", *arguments)
+    assert "200 trials, about 1 h 23 min. Go on?" in shown  # 20 million steps at a nominal 4,000 a second
+    assert (code, rows(mine)) == (3, [])
+    code, shown = at_a_terminal(mine, b"", *arguments, "--yes")
+    assert ("Go on?" in shown, len(rows(mine))) == (False, 200)
 
 
 def test_a_grid_to_begin_with_is_a_study_and_overwrites_nothing(tmp_path):
