@@ -1,13 +1,13 @@
 """The shards that a launch has yet to train: what other launches train meanwhile, and what becomes of shards that fail.
 
 A population fails as a whole, often because of one of its trials. It is tried again in halves, until the trials that fail are
-alone: one failing trial harms no other. When that has found MOST_ALIKE trials that fail alike, whatever else fails so is not
-taken apart any more.
+alone: one failing trial harms no other. When MOST_ALIKE trials of a group have failed alike and none has succeeded in between,
+whatever else fails so is not taken apart any more.
 """
 
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 from cluster.worker import Receipt
@@ -30,16 +30,20 @@ class Failed:
 class Backlog:
     """Shards in the order in which they start.
 
-    `finished` returns the trials that are in the store by now, `claimed` those that other launches train. `elsewhere` collects
-    trials that were found in the store although they were waiting here.
+    `finished` returns the trials that are in the store by now, `claimed` those that other launches train; `pack` makes shards of
+    trials that others have given up. `elsewhere` collects trials that were found in the store although they were waiting here.
     """
 
     def __init__(
-        self, shards: Sequence[Shard], finished: Callable[[], Collection[str]], claimed: Callable[[], Collection[str]]
+        self,
+        shards: Sequence[Shard],
+        finished: Callable[[], Collection[str]],
+        claimed: Callable[[], Collection[str]],
+        pack: Callable[[Sequence[Trial]], Sequence[Shard]],
     ) -> None:
         self._waiting = deque(shards)
         self._deferred: list[Trial] = []
-        self._finished, self._claimed = finished, claimed
+        self._finished, self._claimed, self._pack = finished, claimed, pack
         self._attempts: Counter[str] = Counter()
         self._alike: Counter[tuple[Group, str]] = Counter()
         self._taken: Collection[str] = ()
@@ -89,7 +93,14 @@ class Backlog:
         self.elsewhere += [trial for trial in self._deferred if trial.id in self._present]
         left = [trial for trial in self._deferred if trial.id not in self._present]
         self._deferred = [trial for trial in left if trial.id in self._taken]
-        self._waiting.extend(_together(trial for trial in left if trial.id not in self._taken))
+        given_up = [trial for trial in left if trial.id not in self._taken]
+        if given_up:
+            self._waiting.extend(self._pack(given_up))
+
+    def succeeded(self, shard: Shard) -> None:
+        """Take note that a shard was trained: what fails in its group need not all fail."""
+        for key in [key for key in self._alike if key[0] == shard.group]:
+            del self._alike[key]
 
     def failed(self, receipt: Receipt, done: Collection[str] = ()) -> Failed | None:
         """Take back a shard that failed but for the trials `done`: parts of it are tried again, or else returned as given up."""
@@ -107,7 +118,7 @@ class Backlog:
 
     def _give_up(self, shard: Shard, receipt: Receipt) -> Failed:
         self._alike[shard.group, _kind(receipt)] += 1
-        return Failed(shard, receipt, self._attempts[shard.id] + 1)
+        return Failed(shard, receipt, self._attempts[shard.id] + receipt.tries)
 
     def _again(self, shard: Shard, trials: Sequence[Trial]) -> None:
         if trials:
@@ -119,15 +130,6 @@ class Backlog:
         part = Shard(tuple(trials))
         self._attempts[part.id] = self._attempts[shard.id]
         return part
-
-
-def _together(trials: Iterable[Trial]) -> list[Shard]:
-    """Return shards of trials that can be trained together."""
-    groups: dict[tuple[object, ...], list[Trial]] = {}
-    for trial in trials:
-        shard = Shard((trial,))
-        groups.setdefault((shard.group, trial.steps, trial.cutoff, trial.discount, trial.evaluation), []).append(trial)
-    return [Shard(tuple(members)) for members in groups.values()]
 
 
 def _kind(receipt: Receipt) -> str:

@@ -23,20 +23,22 @@ from sweep.shards import Shard
 if TYPE_CHECKING:
     from agents.training import Run
 
+_MOST_FILES = 2_000
 _SHARE = 0.02  # of the time may go into writing checkpoints
 
 
 class Checkpointing:
-    """The checkpoint of one shard. `seconds` is how long it has trained, in this process and those before."""
+    """The checkpoint of one shard. `problem` says why there is none, where its state cannot be saved."""
 
     def __init__(self, store: Path, shard: Shard, origin: Provenance, threads: int, every_seconds: float) -> None:
         self._file = checkpoints.file_of(store, shard.id)
         self._identity = _identity(shard, origin, threads)
+        self._name = f"{shard.trials[0].agent} on {shard.trials[0].environment}"
         self._every = every_seconds
         self._started = self._last = time.monotonic()
         self._before = 0.0
         self._wait = every_seconds
-        self._impossible = False
+        self.problem: str | None = None
 
     @property
     def seconds(self) -> float:
@@ -45,29 +47,25 @@ class Checkpointing:
 
     def is_due(self) -> bool:
         """Return whether it is time to write one."""
-        return not self._impossible and time.monotonic() - self._last >= self._wait
+        return self.problem is None and time.monotonic() - self._last >= self._wait
 
     def save(self, run: "Run") -> None:
-        """Write the state of a run. A run whose state cannot be saved, or a disk that takes none, is no error."""
-        from agents.checkpoint import CheckpointError
-
-        if self._impossible or run.step == 0:
+        """Write the state of a run. One whose state cannot be saved, or a disk that takes none, is no error."""
+        if self.problem is not None or run.step == 0:
             return
         begun = time.monotonic()
         try:
             header = {**self._identity, "step": run.step, "steps": run.steps, "seconds": self.seconds}
             checkpoints.save(self._file, header, run.state())
-        except CheckpointError:
-            self._impossible = True
         except OSError:
             pass  # the commit will say what is wrong with the disk
+        except Exception as error:  # CheckpointError, or whatever a user's own way to save raises
+            self.problem = f"{self._name} has no checkpoints: {error or type(error).__name__}"
         self._last = time.monotonic()
         self._wait = max(self._every, (self._last - begun) / _SHARE)
 
     def begin(self, make: "Callable[[], Run]") -> "Run":
         """Return a new run, brought to where the checkpoint was written if there is one that may be used."""
-        from agents.checkpoint import CheckpointError
-
         run = make()
         try:
             header, state = checkpoints.load(self._file)
@@ -77,7 +75,7 @@ class Checkpointing:
             self._before = float(header["seconds"])
         except FileNotFoundError:
             return run
-        except (OSError, checkpoints.DamagedCheckpointError, CheckpointError):
+        except Exception:  # damaged, of other objects, or whatever a user's own way to restore raises
             self.discard()
             return make()  # the other may have been restored in part
         return run
@@ -92,6 +90,7 @@ def _identity(shard: Shard, origin: Provenance, threads: int) -> dict[str, Any]:
     """Return all that must be equal for a run to go on as if it had never stopped."""
     first = shard.trials[0]
     own = (find_algorithm(first.agent).implementation, find_environment(first.environment).implementation)
+    modules = [implementation.partition(":")[0] for implementation in own] + [_module_of_gymnasium(first.environment)]
     return {
         "shard": shard.id,
         "trials": [trial.id for trial in shard.trials],
@@ -99,31 +98,47 @@ def _identity(shard: Shard, origin: Provenance, threads: int) -> dict[str, Any]:
         "engine": origin.engine,
         "threads": threads,
         "versions": origin.versions,
-        "processor": _processor(),
-        "code": [_code_of("agents"), *(_code_of(implementation.partition(":")[0]) for implementation in own)],
+        "processor": _processor(origin.device),
+        "code": [_code_of("agents"), *(_code_of(module) for module in modules)],
     }
 
 
-def _processor() -> str:
+def _processor(device: str) -> str:
     import torch
 
-    return str(torch.backends.cpu.get_cpu_capability())
+    return torch.cuda.get_device_name() if device == "cuda" else str(torch.backends.cpu.get_cpu_capability())
+
+
+def _module_of_gymnasium(environment: str) -> str:
+    """Return the module that an environment of Gymnasium's comes from; nothing for a built-in one."""
+    if not find_environment(environment).keeps_state:
+        return ""
+    import gymnasium
+
+    entry = gymnasium.spec(environment.rpartition(":")[2]).entry_point
+    return entry.partition(":")[0] if isinstance(entry, str) else getattr(entry, "__module__", "")
 
 
 @functools.cache
 def _code_of(module: str) -> str:
-    """Return a digest of a module's file, or of a package's: sources and compiled libraries."""
+    """Return a digest of the code that a module belongs to: its package, or the modules beside it. "" where there is none.
+
+    Sources and compiled libraries count. What lies in an installed package of its own, such as Gymnasium's, has a version.
+    """
+    name = module.partition(".")[0]
     try:
-        spec = importlib.util.find_spec(module)
+        spec = importlib.util.find_spec(name) if name else None
     except (ImportError, ValueError):
-        return ""
+        spec = None
     if spec is None:
         return ""
-    folders = [Path(folder) for folder in spec.submodule_search_locations or ()]
-    files = [file for folder in folders for file in folder.rglob("*") if file.suffix in (".py", ".so")]
-    files += [Path(spec.origin)] if spec.origin else []
+    files: list[Path] = []
+    for folder in spec.submodule_search_locations or ():
+        files += [file for file in Path(folder).rglob("*") if file.suffix in (".py", ".so")]
+    if not spec.submodule_search_locations and spec.origin:
+        files += Path(spec.origin).parent.glob("*.py")
     digest = hashlib.sha256()
-    for file in sorted(files):
+    for file in sorted(files)[:_MOST_FILES]:
         with contextlib.suppress(OSError):
             digest.update(file.read_bytes())
     return digest.hexdigest()

@@ -1,6 +1,7 @@
 """Ctrl-C during a launch: once drains, twice stops, a third time at once. A batch system's SIGTERM stops.
 
-Draining: shards under way are trained to their end, nothing else begins. Stopping: workers write a checkpoint first.
+Draining: shards under way are trained to their end, nothing else begins. Stopping: workers write a checkpoint first. Before the
+first shard has begun, any of them ends the launch at once.
 """
 
 import signal
@@ -15,10 +16,13 @@ GRACE_SECONDS = 30.0
 
 
 class Interrupts:
-    """`draining` and `stopping` say what was asked for; `tell` is called with "drain" or "stop" when it is asked for."""
+    """`draining` and `stopping` say what was asked for; `tell` is called with "drain" or "stop" when it is asked for.
+
+    `working` is set by the launch when shards begin.
+    """
 
     def __init__(self, tell: Callable[[str], None]) -> None:
-        self.draining = self.stopping = False
+        self.draining = self.stopping = self.working = False
         self._tell = tell
         self._deadline = float("inf")
 
@@ -44,7 +48,7 @@ class Interrupts:
             raise KeyboardInterrupt
 
     def _interrupted(self, _number: int, _frame: FrameType | None) -> None:
-        if self.stopping:
+        if self.stopping or not self.working:
             raise KeyboardInterrupt
         if self.draining:
             self._stop()
@@ -53,6 +57,8 @@ class Interrupts:
             self._tell("drain")
 
     def _terminated(self, _number: int, _frame: FrameType | None) -> None:
+        if not self.working:
+            raise KeyboardInterrupt
         if not self.stopping:
             self._stop()
 

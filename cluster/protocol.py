@@ -6,11 +6,13 @@ from typing import Any
 
 from agents.hypers import Hypers
 from cluster.executor import Executor
-from cluster.launch import Confirm, Launch, Summary
+from cluster.launch import Confirm, Launch
 from cluster.progress import Progress
+from cluster.summary import Summary
 from cluster.worker import Training
 from sweep import selections
 from sweep.grid import Grid
+from sweep.messages import UserError
 from sweep.selection import IncompleteError, select
 from sweep.store import Store
 from sweep.studies import grid_of, stages_of
@@ -39,8 +41,8 @@ class Outcome:
 
     @property
     def interrupted(self) -> bool:
-        """Whether somebody stopped it."""
-        return any(stage.interrupted for stage in self.stages)
+        """Whether somebody stopped it, or something did."""
+        return any(stage.interrupted or stage.store_is_unwritable or stage.trouble for stage in self.stages)
 
     @property
     def is_complete(self) -> bool:
@@ -100,38 +102,53 @@ def run(
         outcome.stages.append(launch.train("tune", tuning))
         if not grid.evaluate_seeds:
             return outcome
-        if launch.interrupted:
+        chosen = None if launch.interrupted else _chosen(grid, store, tuning, frozen, allow_partial, outcome)
+        if not chosen:
             outcome.open_stages.append("evaluate")
             return outcome
-        if frozen is None or _left_settings_out(store, grid.name):
-            try:
-                frozen = _choose(grid, store, tuning, allow_partial, outcome)
-            except IncompleteError as error:
-                outcome.messages += str(error).splitlines()
-                outcome.open_stages.append("evaluate")
-                return outcome
-            _write(grid, store, tuning, frozen)
-        outcome.stages.append(launch.train("evaluate", evaluation_trials(grid, frozen)))
+        if chosen != frozen:
+            _write(grid, store, tuning, chosen)
+        outcome.stages.append(launch.train("evaluate", evaluation_trials(grid, chosen)))
     return outcome
+
+
+def _chosen(
+    grid: Grid, store: Store, tuning: Sequence[Trial], frozen: list[Chosen] | None, allow_partial: bool, outcome: Outcome
+) -> list[Chosen] | None:
+    """Return what is to be evaluated: what is frozen, or a choice made now; None, and why, where there can be none yet.
+
+    A choice among some of the settings is made again when the others can be compared, too.
+    """
+    if frozen is not None and not _left_settings_out(store, grid.name):
+        return frozen
+    try:
+        return _choose(grid, store, tuning, allow_partial, outcome)
+    except IncompleteError as error:
+        outcome.messages += ["The choice that was made among some of the settings stays."] if frozen else str(error).splitlines()
+        return frozen
+    except UserError as error:
+        outcome.messages += str(error).splitlines()
+        return None
 
 
 def again(
     store: Store,
     studies: Sequence[str],
-    damaged: set[str],
     start_executor: Callable[[], Executor],
     progress: Progress,
     training: Training,
 ) -> list[Summary]:
-    """Train the failed trials of these studies, and those that were `damaged`; return a summary for each stage that had any."""
+    """Train the failed trials of these studies; return a summary for each stage that had any."""
     failed = {trial["trial"] for failure in store.failures() for trial in failure.trials}
-    summaries = []
+    summaries: list[Summary] = []
     for study in studies:
         with Launch(study, store, start_executor, progress, training) as launch:
             for stage, trials in stages_of(store, grid_of(store, study)).items():
-                wanted = [trial for trial in trials if trial.id in failed | damaged]
-                if wanted and not launch.interrupted:
+                wanted = [trial for trial in trials if trial.id in failed]
+                if wanted:
                     summaries.append(launch.train(stage, wanted))
+                if launch.interrupted:
+                    return summaries
     return summaries
 
 

@@ -9,6 +9,7 @@ import os
 import signal
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,7 @@ from sweep.messages import UserError
 _OBJECT_STORE_BYTES = 100 * 2**20
 _MAX_RETRIES = 2  # whatever still dies then is tried in parts (`cluster.backlog`)
 _CONNECT_SECONDS = 10.0
+_WAIT_SECONDS = 0.1
 
 
 def check_address(address: str) -> None:
@@ -114,23 +116,46 @@ class RayExecutor:
     def wait(self, seconds: float) -> list[Receipt]:
         if not self._running:
             return []
-        ready, _ = ray.wait(list(self._running), num_returns=len(self._running), timeout=0)
-        if not ready:
-            ready, _ = ray.wait(list(self._running), num_returns=1, timeout=seconds)
-        return [self._receipt(reference) for reference in ready]
+        running = list(self._running)
+        ready, _ = ray.wait(running, num_returns=len(running), timeout=0)
+        deadline = time.monotonic() + seconds
+        while not ready and (left := deadline - time.monotonic()) > 0:
+            # in short waits: two Ctrl-C that arrive during one are one to Python
+            ready, _ = ray.wait(running, num_returns=1, timeout=min(left, _WAIT_SECONDS))
+        receipts: list[Receipt] = []
+        for reference in ready:
+            try:
+                receipts.append(self._receipt(reference))
+            except ExecutorDiedError:
+                if not receipts:
+                    raise
+                return receipts  # the next call finds it dead again
+        return receipts
 
     def _receipt(self, reference: "ray.ObjectRef") -> Receipt:
-        work = self._running.pop(reference)
+        work = self._running[reference]
         try:
-            return ray.get(reference)
+            receipt = ray.get(reference)
+            del self._running[reference]
+            return receipt
         except (ray.exceptions.LocalRayletDiedError, ray.exceptions.RaySystemError) as error:
             raise ExecutorDiedError(str(error).strip().splitlines()[0]) from None
         except ray.exceptions.RayError as error:
-            return Receipt(work.shard, "unknown", error=str(error) or repr(error), reason=_reason(error))
+            del self._running[reference]
+            text = f"{error}\n{_DIED[_reason(error)]}" if _reason(error) in _DIED else str(error) or repr(error)
+            tries = 1 + _MAX_RETRIES if _reason(error) in _DIED else 1
+            return Receipt(work.shard, "unknown", error=text, reason=_reason(error), tries=tries)
 
     def close(self) -> None:
         self._running.clear()
         ray.shutdown()
+
+
+_DIED = {
+    "memory": "MemoryError: the worker was killed because the machine had no memory left",
+    "killed": "WorkerDiedError: the worker's process died: it was killed, or crashed",
+    "lost": "MachineLostError: the machine that the worker ran on was lost",
+}
 
 
 def _reason(error: Exception) -> str:

@@ -10,28 +10,35 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from sweep import checkpoints
-from sweep.shards import Shard
+from sweep.shards import Shard, can_share
 from sweep.trials import Trial
 
 _OLD_SECONDS = 30 * 24 * 3600
 
 
-def resumable(store: Path, trials: Sequence[Trial]) -> tuple[list[Shard], list[Trial]]:
-    """Return the shards with a checkpoint, the furthest first, and the trials that are in none of them."""
+def resumable(store: Path, trials: Sequence[Trial]) -> tuple[dict[Shard, int], list[Trial]]:
+    """Return shards with a checkpoint, the furthest first, with the agent-steps that are done, and the trials in none of them."""
     by_id = {trial.id: trial for trial in trials}
     found: list[tuple[int, Shard]] = []
     for file in checkpoints.files(store):
         try:
             header = checkpoints.read_header(file)
-            names, step = list(header["trials"]), int(header["step"])
+            names, step = [str(name) for name in header["trials"]], int(header["step"])
         except (OSError, KeyError, TypeError, ValueError, checkpoints.DamagedCheckpointError):
             _remove(file)
             continue
-        if names and all(name in by_id for name in names):
-            found.append((step, Shard(tuple(by_id.pop(name) for name in names))))
+        if names and all(name in by_id for name in names) and len(set(names)) == len(names):
+            shard = Shard(tuple(by_id[name] for name in names))
+            if can_share(shard.trials):
+                found.append((step, shard))
         elif _is_old(file):
             _remove(file)
-    shards = [shard for _, shard in sorted(found, key=lambda one: -one[0])]
+    shards: dict[Shard, int] = {}
+    for step, shard in sorted(found, key=lambda one: -one[0]):
+        if all(trial.id in by_id for trial in shard.trials):  # of two that share a trial, the furthest
+            shards[shard] = step * len(shard.trials)
+            for trial in shard.trials:
+                del by_id[trial.id]
     return shards, list(by_id.values())
 
 

@@ -41,13 +41,22 @@ class Tally:
     rows: dict[tuple[str, str], Row] = field(default_factory=dict)
     rate: float = 0.0
     _trained: int = 0
+    _spared: dict[str, int] = field(default_factory=dict)
     _finished: dict[tuple[str, str], int] = field(default_factory=dict)
     _readings: list[tuple[float, int]] = field(default_factory=list)
 
     @classmethod
-    def of(cls, study: str, stage: str, shards: Iterable[Shard], clock: Callable[[], float] = time.monotonic) -> "Tally":
-        """Return the tally of shards that are to be trained."""
+    def of(
+        cls,
+        study: str,
+        stage: str,
+        shards: Iterable[Shard],
+        clock: Callable[[], float] = time.monotonic,
+        spared: Mapping[Shard, int] | None = None,
+    ) -> "Tally":
+        """Return the tally of shards that are to be trained; of some, checkpoints spare so many agent-steps."""
         tally = cls(study, stage, clock)
+        tally._spared = {shard.id: steps for shard, steps in (spared or {}).items()}
         for shard in shards:
             for trial in shard.trials:
                 row = tally.rows.setdefault(_key(trial), Row(trial.agent, trial.environment))
@@ -55,6 +64,11 @@ class Tally:
                 row.steps += trial.steps
         tally._readings = [(clock(), 0)]
         return tally
+
+    def trained(self, shard: Shard, spared: int) -> None:
+        """Count a shard that this launch has trained, but for the agent-steps that a checkpoint spared."""
+        self.finished(shard.trials, here=True)
+        self._trained -= spared
 
     def finished(self, trials: Iterable[Trial], *, here: bool) -> None:
         """Count trials as done; `here`: this launch trained them, which is what its rate is about."""
@@ -79,7 +93,7 @@ class Tally:
             row = self.rows[_key(shard.trials[0])]
             row.running += len(shard.trials)
             row.done_steps += min(steps, shard.agent_steps)
-        self._rate(self._trained + sum(running.values()))
+        self._rate(self._trained + sum(max(0, steps - self._spared.get(shard.id, 0)) for shard, steps in running.items()))
         self._times(running, waiting)
 
     def _rate(self, steps: int) -> None:

@@ -1,5 +1,6 @@
 """What runs where the training happens: one shard, from its trials to its committed rows."""
 
+import contextlib
 import errno
 import functools
 import socket
@@ -13,10 +14,12 @@ from agents.registry import find_algorithm
 from cluster import machine
 from cluster.checkpointing import Checkpointing
 from sweep import launches, provenance
+from sweep.failures import EXCEPTION, MEMORY, STORE
+from sweep.messages import UserError
 from sweep.provenance import Provenance
 from sweep.shards import Shard
 from sweep.store import Store
-from sweep.tables import shard_tables
+from sweep.tables import ShardTables, shard_tables
 from sweep.trials import Trial
 
 if TYPE_CHECKING:
@@ -25,7 +28,8 @@ if TYPE_CHECKING:
 _REPORT_SECONDS = 1.0
 _COMMIT_SECONDS = 60.0
 _STEPS_AT_ONCE = 8  # between two looks at the clock
-_UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
+_TRANSIENT = (errno.EIO, errno.ESTALE, errno.EINTR, errno.EAGAIN)  # of a network's file system
+_COMMIT_TRIES, _TRY_AGAIN_SECONDS = 3, 5.0
 
 
 @dataclass(frozen=True)
@@ -57,10 +61,11 @@ class Work:
 class Receipt:
     """What a worker sends back: never rows, which are in the store. `error` is a traceback, or None; `reason` its class.
 
-    `committed` counts the trials that were not in the store already, `diverged` those of them that diverged. `culprit` is the
-    trial that raised, where one trial alone did. `unfinished`: the launch asked the worker to stop, or not to begin.
-    `resumed_steps` are the agent-steps that a checkpoint spared. `store_is_unwritable` says that no other shard's rows could be
-    committed either. `peak_memory` is the most bytes that the worker had in memory meanwhile.
+    `committed` counts the trials that were not in the store already, `diverged` those of them that diverged. `tries`: how
+    often the shard was begun. `culprit` is the trial that raised, where one trial alone did. `unfinished`: the launch asked the
+    worker to stop, or not to begin. `resumed_steps` are the agent-steps that a checkpoint spared. `note` is something that a user
+    should know. `store_is_unwritable` says that no other shard's rows could be committed either. `peak_memory` is the most bytes
+    that the worker had in memory meanwhile.
     """
 
     shard: Shard
@@ -68,16 +73,22 @@ class Receipt:
     committed: int = 0
     diverged: int = 0
     error: str | None = None
-    reason: str = "exception"
+    reason: str = EXCEPTION
+    tries: int = 1
     culprit: Trial | None = None
     unfinished: bool = False
     resumed_steps: int = 0
+    note: str | None = None
     store_is_unwritable: bool = False
     peak_memory: int = 0
 
 
 class _StoppedError(Exception):
     """The launch asked this worker to stop."""
+
+
+class _CommitError(Exception):
+    """The store did not take the rows; the cause says why."""
 
 
 class _TrialError(Exception):
@@ -99,22 +110,24 @@ def run_shard(work: Work, on_progress: Callable[[], None] | None = None) -> Rece
     try:
         desk.look_for_notes("drain", "stop")
         train = _train_functions if find_algorithm(work.shard.trials[0].agent).one_trial else _train_population
-        train(desk)
+        if desk.missing():
+            train(desk)
     except _StoppedError:
         receipt = replace(receipt, unfinished=True)
     except _TrialError as error:
         receipt = replace(receipt, error=_traceback_of(error.__cause__ or error), culprit=error.trial)
+    except _CommitError as error:
+        receipt = replace(receipt, error=_traceback_of(error.__cause__ or error), reason=STORE, store_is_unwritable=True)
     except MemoryError as error:
-        receipt = replace(receipt, error=_traceback_of(error), reason="memory")
+        receipt = replace(receipt, error=_traceback_of(error), reason=MEMORY)
     except Exception as error:
-        if isinstance(error, OSError) and error.errno in _UNWRITABLE:
-            receipt = replace(receipt, reason="store", store_is_unwritable=True)
         receipt = replace(receipt, error=_traceback_of(error))
     return replace(
         receipt,
         committed=desk.committed,
         diverged=desk.diverged,
         resumed_steps=desk.resumed_steps,
+        note=desk.note,
         peak_memory=machine.peak_bytes(),
     )
 
@@ -143,8 +156,27 @@ class _Desk:
         self.work, self.trials = work, work.shard.trials
         self.store = _store_at(work.store)
         self.committed = self.diverged = self.resumed_steps = 0
+        self.note: str | None = None
         self._on_progress = on_progress
         self._last = time.monotonic()
+
+    def missing(self) -> list[Trial]:
+        """Return the trials that the store lacks: this may be the second try, after rows of the first were committed."""
+        with contextlib.suppress(UserError):  # a damaged shard of others: the commit will see what it can do
+            finished = self.store.finished_trials()
+            return [trial for trial in self.trials if trial.id not in finished]
+        return list(self.trials)
+
+    def commit(self, shard: Shard, tables: ShardTables) -> None:
+        """Commit rows. Raises _CommitError; what a network's file system may get over is tried again before."""
+        for tries in range(1, _COMMIT_TRIES + 1):
+            try:
+                self.committed += self.store.commit(shard.id, tables)
+                return
+            except (OSError, UserError) as error:
+                if getattr(error, "errno", None) not in _TRANSIENT or tries == _COMMIT_TRIES:
+                    raise _CommitError from error
+                time.sleep(_TRY_AGAIN_SECONDS)
 
     def look_for_notes(self, *notes: str) -> None:
         """Raise _StoppedError when the launch has left one of these notes."""
@@ -200,8 +232,13 @@ def _train_population(desk: _Desk) -> None:
     except _StoppedError:
         checkpoints.save(run)
         raise
+    desk.note = checkpoints.problem
     records = run.finish()
-    desk.committed = desk.store.commit(desk.work.shard.id, shard_tables(trials, records, checkpoints.seconds, origin))
+    try:
+        desk.commit(desk.work.shard, shard_tables(trials, records, checkpoints.seconds, origin))
+    except _CommitError:
+        checkpoints.save(run)
+        raise
     desk.diverged = int((records.diverged_at > 0).sum())
     checkpoints.discard()
     desk.store.clear_progress(desk.work.shard.id)
@@ -212,9 +249,9 @@ def _train_functions(desk: _Desk) -> None:
     origin = provenance.of_this_process("unknown", "function")
     done = _Done(desk, origin)
     try:
-        for number, trial in enumerate(desk.trials):
+        for trial in desk.missing():
             desk.look_for_notes("drain", "stop")
-            before = sum(known.steps for known in desk.trials[:number])
+            before = sum(known.steps for known in desk.trials[: desk.trials.index(trial)])
             done.train(trial, lambda step, before=before: desk.report(before + step))  # type: ignore[misc]
     finally:
         done.commit()
@@ -256,7 +293,7 @@ class _Done:
             return
         records = side_by_side(self._records)
         tables = shard_tables(self._trials, records, self._seconds, self._origin)
-        self._desk.committed += self._desk.store.commit(Shard(tuple(self._trials)).id, tables)
+        self._desk.commit(Shard(tuple(self._trials)), tables)
         self._desk.diverged += int((records.diverged_at > 0).sum())
         self._trials, self._records, self._seconds = [], [], []
         self._last = time.monotonic()

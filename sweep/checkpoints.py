@@ -44,6 +44,12 @@ def files(store: Path) -> list[Path]:
     return sorted((store / _FOLDER).glob(f"*{_ENDING}"))
 
 
+def remove(store: Path, shard: str) -> None:
+    """Remove the checkpoint of a shard, if there is one and it can be removed."""
+    with contextlib.suppress(OSError):
+        file_of(store, shard).unlink(missing_ok=True)
+
+
 def save(file: Path, header: Mapping[str, Any], state: State) -> int:
     """Write a checkpoint and return its size in bytes. The one that was there stays valid until the new one is on disk.
 

@@ -54,13 +54,15 @@ class _Small:
 def compact(store: Store, *, target_trials: int = TARGET_TRIALS, say: Callable[[str], None] = lambda _: None) -> Counts:
     """Put shards of less than half of `target_trials` together, to at most so many trials each; return what was done.
 
-    Damaged shards are left alone. Raises UnwritableError when the store cannot be written to, and DamagedError when a compacted
-    shard does not say which others it replaces. `say` is told what is under way.
+    Damaged shards are left alone, and so are those that a damaged one replaces. Raises UnwritableError when the store cannot be
+    written to, and DamagedError when a compacted shard does not say which others it replaces. `say` is told what is under way.
     """
-    store.discard(store.superseded())
+    left = _discard_superseded(store)
     shards = store.shards()
-    counts = Counts(len(shards), bytes_before=_bytes(shards))
-    bins = _bins(list(_small(shards, target_trials, counts)), target_trials)
+    counts = Counts(len(shards), bytes_before=_bytes(shards), damaged=left)
+    damaged = {problem.shard for problem in left}
+    small = _small([folder for folder in shards if folder.name not in damaged], target_trials, counts)
+    bins = _bins(list(small), target_trials)
     for number, group in enumerate(bins, 1):
         agent, environment, *_ = group[0].key
         trials = sum(small.trials for small in group)
@@ -70,6 +72,27 @@ def compact(store: Store, *, target_trials: int = TARGET_TRIALS, say: Callable[[
     shards = store.shards()
     counts.shards_after, counts.bytes_after = len(shards), _bytes(shards)
     return counts
+
+
+def _discard_superseded(store: Store) -> tuple[Problem, ...]:
+    """Remove what killed compactions left over, if what replaces it is sound; return the problems of what is not."""
+    sound: dict[Path, int] = {}
+    problems: list[Problem] = []
+    for shard in store.replacements():
+        with contextlib.suppress(FileNotFoundError):  # another compaction was faster
+            inode = shard.stat().st_ino
+            checked = check(shard)
+            if checked is not None and checked.problems:
+                problems += checked.problems
+            elif checked is not None:
+                sound[shard] = inode
+    if sound:
+        with store.staged("superseded"), store.locked():
+            for shard, replaced in store.replacements().items():
+                with contextlib.suppress(FileNotFoundError):  # replaced itself, and removed by now
+                    if sound.get(shard) == shard.stat().st_ino:
+                        store.discard(replaced)
+    return tuple(problem for problem in problems if (store.path / "shards" / problem.shard).exists())
 
 
 def _small(shards: Sequence[Path], target_trials: int, counts: Counts) -> Iterator[_Small]:
@@ -138,7 +161,7 @@ def _compact(store: Store, folders: Sequence[Path], counts: Counts) -> int:
             if any(not folder.exists() or folder.stat().st_ino != inode for folder, inode in before.items()):
                 return 0  # another compaction was faster, or a shard was put aside
             store.publish(staging, store.free_name(name))
-    store.discard(folder.parent / name for name in sorted(replaced))
+            store.discard(folder.parent / name for name in sorted(replaced))  # nobody puts the new one aside meanwhile
     return tables.trials.num_rows
 
 

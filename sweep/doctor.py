@@ -16,8 +16,15 @@ _DISTRIBUTIONS = {"sweep": "sweep-rl"} | {
 _NOT_INSTALLED = "not installed"
 
 
-def check_engine(device: str) -> None:
-    """Raise UserError when SWEEP_ENGINE asks for what cannot be had on this type of device."""
+def check_engine(device: str, *, here: bool = False) -> None:
+    """Raise UserError when SWEEP_ENGINE asks for what cannot be had on this type of device, or when there is no GPU `here`."""
+    if here and device == "cuda":
+        import torch
+
+        if not torch.cuda.is_available():
+            raise UserError(
+                "--device cuda: torch finds no GPU here that it can use (`sweep doctor`); --device auto takes one if there is"
+            )
     try:
         kernels.engine_name("cuda" if device == "cuda" else "cpu")
     except kernels.EngineError as error:

@@ -7,10 +7,13 @@
 
 import contextlib
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+
+from sweep.files import write_atomically
 
 FOLDER = "failures"
 _FORMAT = 1
@@ -22,9 +25,9 @@ REASONS: Mapping[str, str] = {
     "killed": "The worker's process was killed.",
     "lost": "The worker, or the machine that it ran on, was lost.",
     "store": "The rows could not be written to the store.",
-    "timeout": "The training took longer than it may.",
+    "damaged": "The trial's files were damaged and put aside.",
 }
-EXCEPTION, MEMORY, KILLED, LOST, STORE, TIMEOUT = REASONS
+EXCEPTION, MEMORY, KILLED, LOST, STORE, DAMAGED = REASONS
 
 
 @dataclass(frozen=True)
@@ -47,13 +50,74 @@ class Failure:
         return json.dumps({"format": _FORMAT, **vars(self)}, indent=1).encode()
 
 
-def read(store: Path) -> dict[Path, Failure]:
-    """Return file → failure for a store, the oldest first. Files that cannot be read are skipped."""
-    found = {}
-    for file in sorted(store.glob(f"{FOLDER}/*.json")):
-        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
-            found[file] = _parse(json.loads(file.read_bytes()))
-    return dict(sorted(found.items(), key=lambda item: item[1].at))
+@dataclass(frozen=True)
+class _Record:
+    """A file's content, None when it cannot be read, while its stamp (modification time in ns, bytes, inode) is this one."""
+
+    stamp: tuple[int, int, int]
+    failure: Failure | None
+    trials: frozenset[str]
+
+
+class Records:
+    """The records in a store's folder, as they are whenever one asks; a file that is the same as before is not parsed again."""
+
+    def __init__(self, store: Path) -> None:
+        self._folder = store / FOLDER
+        self._known: dict[str, _Record] = {}
+
+    def read(self) -> list[Failure]:
+        """Return the failures, the oldest first. Files that cannot be read are skipped."""
+        self._look()
+        found = [record.failure for _, record in sorted(self._known.items()) if record.failure is not None]
+        return sorted(found, key=lambda failure: failure.at)
+
+    def unfinished(self, finished: Callable[[], set[str]]) -> list[Failure]:
+        """Return the failures without trials that are `finished` by now; that is asked only if there are any."""
+        recorded = self.read()
+        done = finished() if recorded else set()
+        left = []
+        for failure in recorded:
+            trials = tuple(trial for trial in failure.trials if trial["trial"] not in done)
+            if trials:
+                left.append(replace(failure, trials=trials))
+        return left
+
+    def write(self, shard: str, failure: Failure) -> None:
+        """Write down why a shard could not be trained, if that can be written."""
+        with contextlib.suppress(OSError):
+            self._folder.mkdir(exist_ok=True)
+            write_atomically(self._folder / f"{shard}.json", failure.to_json())
+
+    def forget(self, new: set[str], finished: Callable[[], set[str]]) -> None:
+        """Remove the records with one of the `new` trials whose trials are all `finished`; that is asked only if need be."""
+        self._look()
+        for name, record in self._known.items():
+            if not record.trials.isdisjoint(new) and record.trials <= finished():
+                with contextlib.suppress(OSError):
+                    (self._folder / name).unlink()
+
+    def _look(self) -> None:
+        found = {}
+        with contextlib.suppress(OSError), os.scandir(self._folder) as entries:
+            for entry in entries:
+                if entry.name.endswith(".json"):
+                    with contextlib.suppress(OSError):
+                        status = entry.stat()
+                        stamp = (status.st_mtime_ns, status.st_size, status.st_ino)
+                        known = self._known.get(entry.name)
+                        found[entry.name] = known if known and known.stamp == stamp else _record(Path(entry.path), stamp)
+        self._known = found
+
+
+def _record(file: Path, stamp: tuple[int, int, int]) -> _Record:
+    """Return what a file says. Raises OSError when it cannot be read just now."""
+    content = file.read_bytes()
+    try:
+        failure = _parse(json.loads(content))
+    except (ValueError, KeyError, TypeError):
+        return _Record(stamp, None, frozenset())
+    return _Record(stamp, failure, frozenset(trial["trial"] for trial in failure.trials))
 
 
 def _parse(content: dict[str, Any]) -> Failure:

@@ -1,10 +1,11 @@
 """A shard's manifest: which files its folder has, and what was written to them.
 
-    manifest.json   {"format": 1, "files": {name: {"bytes", "rows", "sha256"}}, "replaces": [shards], "sha256"}
+    manifest.json   {"format": 1, "files": {name: {"bytes", "rows", "sha256"}}, "replaces": [shards], "trials": [ids], "sha256"}
 
 It is written beside the files, before the folder becomes visible. A compacted shard names in `replaces` the shards whose rows it
-holds: from the moment it is visible, these are not. `sha256`, the last of the keys, is of `files` and `replaces` themselves.
-Folders that were written before there were manifests have none.
+holds: from the moment it is visible, these are not. `trials` says which trials the shard holds even when its files no longer do.
+`sha256`, the last of the keys, is of `files`, `replaces` and `trials` themselves. Manifests of old have no `trials`, and folders
+that were written before there were manifests have none at all.
 """
 
 import hashlib
@@ -14,6 +15,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import pyarrow.parquet as pq
+
 from sweep.files import flushed
 from sweep.messages import UserError
 
@@ -21,14 +24,18 @@ NAME = "manifest.json"
 #: With these begin the names of the shards that replace others: no other manifest has to be read to know what is visible.
 COMPACTED = "c-"
 _FORMAT = 1
+_SAID = ("files", "replaces", "trials")
+_TRIALS = "trials.parquet"
 _ADVICE = "`sweep verify` says what else is, `sweep retry` trains it again"
+_ADVICE_FOR_STUDIES = "remove it, and launch the study's grid again"
 
 
 class DamagedError(UserError):
     """A file of the store is not what was written."""
 
     def __init__(self, file: Path, what: str) -> None:
-        super().__init__(f"{file}: is damaged: {what}; {_ADVICE}")
+        advice = _ADVICE_FOR_STUDIES if file.parent.parent.name == "studies" else _ADVICE
+        super().__init__(f"{file}: is damaged: {what}; {advice}")
         self.file, self.what = file, what
 
 
@@ -43,14 +50,17 @@ class Entry:
 
 @dataclass(frozen=True)
 class Manifest:
-    """Name → entry of a shard's files, and the shards that it replaces."""
+    """Name → entry of a shard's files, the shards that it replaces, and its trials: None where the manifest does not say."""
 
     files: Mapping[str, Entry]
     replaces: tuple[str, ...] = field(default=())
+    trials: tuple[str, ...] | None = field(default=None)
 
     def write(self, folder: Path) -> None:
-        """Write and flush it to a shard's folder."""
-        said = {"files": {name: vars(entry) for name, entry in self.files.items()}, "replaces": list(self.replaces)}
+        """Write and flush it to a shard's folder. Trials that are not given are those of the table that lies there."""
+        trials = _trials_in(folder / _TRIALS) if self.trials is None else self.trials
+        files = {name: vars(entry) for name, entry in self.files.items()}
+        said = {"files": files, "replaces": list(self.replaces), "trials": list(trials)}
         content = {"format": _FORMAT, **said, "sha256": _digest(said)}
         with flushed(folder / NAME) as sink:
             sink.write(json.dumps(content, indent=1).encode())
@@ -63,10 +73,13 @@ def read(folder: Path) -> Manifest | None:
         content = json.loads(file.read_bytes())
         if content["format"] != _FORMAT:
             raise UserError(f"{file}: is of another format than {_FORMAT}, the one this version reads")
-        if content["sha256"] != _digest({key: content[key] for key in ("files", "replaces")}):
+        if content["sha256"] != _digest({key: content[key] for key in _SAID if key in content}):
             raise DamagedError(file, "its content is not what was written")
         entries = {name: _entry(name, values) for name, values in content["files"].items()}
-        return Manifest(entries, tuple(str(name) for name in content["replaces"]))
+        strangers = [name for name in content["replaces"] if not is_shard_name(name)]
+        if strangers:
+            raise DamagedError(file, f"it replaces {strangers[0]!r}, which can be no shard")
+        return Manifest(entries, tuple(content["replaces"]), _texts(content["trials"]) if "trials" in content else None)
     except FileNotFoundError:
         folder.stat()
         return None
@@ -84,6 +97,11 @@ def read_written(folder: Path) -> Manifest:
     return manifest
 
 
+def is_shard_name(name: object) -> bool:
+    """Return whether a shard's folder may have this name: of a folder in `shards`, seen by everybody, and nowhere else."""
+    return isinstance(name, str) and name != "" and not name.startswith(".") and Path(name).name == name
+
+
 def _digest(said: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
 
@@ -94,8 +112,50 @@ def _entry(name: str, values: dict[str, Any]) -> Entry:
     return Entry(int(values["bytes"]), int(values["rows"]), str(values["sha256"]))
 
 
-def check_sizes(folder: Path) -> None:
-    """Raise DamagedError for a file of a shard that is missing or of another size than was written. Reads the manifest only."""
+def _texts(values: Any) -> tuple[str, ...]:
+    if not isinstance(values, list) or not all(isinstance(value, str) for value in values):
+        raise TypeError(values)
+    return tuple(values)
+
+
+def _trials_in(file: Path) -> tuple[str, ...]:
+    with pq.ParquetFile(file, page_checksum_verification=True) as opened:
+        return tuple(opened.read(columns=["trial"], use_threads=False)["trial"].to_pylist())
+
+
+def trials_said(folder: Path) -> tuple[str, ...] | None:
+    """Return the trials that a shard's manifest names, whatever has become of its files; None where it does not say.
+
+    Raises FileNotFoundError without the folder.
+    """
+    try:
+        manifest = read(folder)
+    except DamagedError:
+        return None
+    return manifest.trials if manifest else None
+
+
+def checked_trials(folder: Path) -> tuple[str, ...] | None:
+    """Return the trials of a shard, None where its manifest does not say; raise DamagedError as `check_sizes` does.
+
+    It is raised as well for a table of trials that is not, byte for byte, what was written.
+    """
+    manifest = check_sizes(folder)
+    if manifest is None or manifest.trials is None or _TRIALS not in manifest.files:
+        return None
+    try:
+        found = hashlib.sha256((folder / _TRIALS).read_bytes()).hexdigest()
+    except FileNotFoundError:
+        raise
+    except OSError as error:
+        raise DamagedError(folder / _TRIALS, f"cannot be read ({error.strerror})") from None
+    if found != manifest.files[_TRIALS].sha256:
+        raise DamagedError(folder / _TRIALS, "its content is not what was written")
+    return manifest.trials
+
+
+def check_sizes(folder: Path) -> Manifest | None:
+    """Return a shard's manifest. Raises DamagedError for a file that is missing or of another size than was written."""
     manifest = read(folder)
     for name, entry in manifest.files.items() if manifest else ():
         try:
@@ -107,3 +167,4 @@ def check_sizes(folder: Path) -> None:
             raise DamagedError(folder / name, f"cannot be read ({error.strerror})") from None
         if found != entry.bytes:
             raise DamagedError(folder / name, f"{found:,} bytes, {entry.bytes:,} were written")
+    return manifest

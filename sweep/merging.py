@@ -15,7 +15,7 @@ import numpy as np
 import pyarrow as pa
 
 from sweep import schema, shard_files, study_files
-from sweep.files import UnwritableError, write_atomically
+from sweep.files import UnwritableError
 from sweep.messages import UserError
 from sweep.shard_checks import check
 from sweep.shard_files import TRIALS, read_table
@@ -188,6 +188,7 @@ def _merge_study(store: Store, other: Store, study: str, report: MergeReport) ->
         here = _members(ours) if (ours / study_files.MEMBERS).exists() else set()
         there = _members(theirs)
         if here < there:  # missing here, or further along there
+            # the members last: until they are here, too, this is done again
             _copy(theirs, ours, (study_files.GRID, study_files.OVERRIDES, _SELECTION, study_files.MEMBERS))
             report.studies.append(study)
         elif there < here:
@@ -207,11 +208,9 @@ def _merge_study(store: Store, other: Store, study: str, report: MergeReport) ->
 
 
 def _copy(source: Path, target: Path, names: Sequence[str]) -> None:
-    """Copy the files that there are, in this order: a study without members counts as missing."""
-    target.mkdir(parents=True, exist_ok=True)
+    """Make these files the other study's, in this order, and remove those that it lacks."""
     for name in names:
-        if (source / name).exists():
-            write_atomically(target / name, (source / name).read_bytes())
+        study_files.keep(target / name, (source / name).read_bytes() if (source / name).exists() else None)
 
 
 def _members(folder: Path) -> set[tuple[str, str]]:

@@ -33,3 +33,16 @@ def duration(seconds: float | None) -> str:
     minutes, seconds = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours} h {minutes:02} min" if hours else f"{minutes} min {seconds:02} s" if minutes else f"{seconds} s"
+
+
+def gist(traceback: str) -> str:
+    """Return the line of a traceback that names the error, with the first line of its message."""
+    lines = traceback.strip().splitlines() or [""]
+    frames = [number for number, line in enumerate(lines) if line.startswith("  File ")]
+    said = [line for line in lines[frames[-1] :] if not line.startswith(" ")] if frames else []
+    return said[0] if said else lines[-1]
+
+
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun, such as `1 trial` or `2,000 trials`."""
+    return f"{number:,} {noun}" if number == 1 else f"{number:,} {noun}s"

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
-_DISTRIBUTIONS = ("sweep-rl", "torch", "numpy")
+_DISTRIBUTIONS = ("sweep-rl", "torch", "numpy", "gymnasium", "mujoco")
 
 
 @dataclass(frozen=True)

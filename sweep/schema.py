@@ -47,7 +47,7 @@ TRIALS = _table(
     ("engine", pa.string(), "which implementation of the population network ran"),
     ("host", pa.string(), "machine"),
     ("commit", pa.string(), "git commit of the code, with +dirty when it had local changes; NULL outside git"),
-    ("versions", pa.string(), "versions of python, sweep, torch, numpy as JSON"),
+    ("versions", pa.string(), "versions of python, sweep, torch, numpy, gymnasium, mujoco (where they are installed) as JSON"),
     ("finished_at", pa.timestamp("us", tz="UTC"), "time of the commit to the store"),
 )
 

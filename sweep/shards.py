@@ -72,6 +72,15 @@ def group_of(trial: Trial) -> Group:
     return Group(trial.agent, trial.environment, shared)
 
 
+def _key(trial: Trial) -> tuple[Any, ...]:
+    return (group_of(trial), trial.steps, trial.cutoff, trial.discount, trial.evaluation)
+
+
+def can_share(trials: Iterable[Trial]) -> bool:
+    """Return whether trials can be trained together."""
+    return len({_key(trial) for trial in trials}) == 1
+
+
 def name_of(group: Group, among: Iterable[Group]) -> str:
     """Return what a user calls a group: with the shared hyperparameters by which it differs from others of the same name."""
     alike = [dict(other.shared) for other in among if other[:2] == group[:2]]
@@ -94,8 +103,7 @@ def pack(trials: Sequence[Trial], slots: int, sizes: Mapping[Group, Size] | None
     known = sizes or {}
     together: dict[tuple[Any, ...], list[Trial]] = {}
     for trial in trials:
-        key = (group_of(trial), trial.steps, trial.cutoff, trial.discount, trial.evaluation)
-        together.setdefault(key, []).append(trial)
+        together.setdefault(_key(trial), []).append(trial)
     shards = []
     for (group, steps, *_), members in together.items():
         if find_algorithm(group.agent).one_trial:

@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from sweep.messages import duration
+from sweep.messages import duration, gist
 from sweep.status import StudyStatus
 
 _PLAIN_WIDTH = 130
@@ -69,7 +69,7 @@ def show_failures(failures: Sequence[Mapping[str, Any]], console: Console, trace
         table.add_column(name, overflow="fold", justify="right" if name in ("seed", "tried") else "left")
     for one in failures[:_SHOWN]:
         cells = [one["trial"], one["agent"], one["environment"], one["seed"], one["reason"], one["attempts"], one["host"]]
-        table.add_row(*(escape("" if cell is None else str(cell)) for cell in cells), escape(_last_line(one["error"])))
+        table.add_row(*(escape("" if cell is None else str(cell)) for cell in cells), escape(gist(one["error"])))
     console.print(table)
     if len(failures) > _SHOWN:
         _say(console, f"and {len(failures) - _SHOWN:,} more (--json has them all)")
@@ -78,11 +78,6 @@ def show_failures(failures: Sequence[Mapping[str, Any]], console: Console, trace
             _say(console, f"\n{example['trial']}:\n{text.rstrip()}")
     _say(console, f"Train one alone, here: {failures[0]['reproduce']}")
     _say(console, "Train all of them again: sweep retry")
-
-
-def _last_line(text: str) -> str:
-    lines = text.strip().splitlines()
-    return lines[-1] if lines else ""
 
 
 def _widen(console: Console) -> None:

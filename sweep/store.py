@@ -14,7 +14,6 @@ worker that was given up for dead, cannot put a trial there twice. What is finis
 """
 
 import contextlib
-import dataclasses
 import datetime
 import fcntl
 import json
@@ -45,6 +44,7 @@ class Store:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
+        self._failures = failures.Records(self.path)
         self._trials: dict[tuple[str, int], set[str]] = {}
         self._checked: set[tuple[str, int]] = set()
         self._finished_in: tuple[frozenset[tuple[str, int]], set[str]] = (frozenset(), set())
@@ -94,16 +94,23 @@ class Store:
 
     def superseded(self) -> list[Path]:
         """Return the folders that a compacted shard replaces and that are there still, of a compaction that was killed."""
-        found, replaced = _listed(self.path / "shards", lenient=True)
-        return [self.path / "shards" / name for name, _ in found if name in replaced]
+        return sorted({folder for replaced in self.replacements().values() for folder in replaced})
+
+    def replacements(self) -> dict[Path, list[Path]]:
+        """Return compacted shard → the folders that it replaces and that are there still, by name; none of those without any."""
+        shards = self.path / "shards"
+        found, replaces = _listed(shards, lenient=True)
+        there = {name: [shards / known for known, _ in found if known in replaces[name]] for name in sorted(replaces)}
+        return {shards / name: folders for name, folders in there.items() if folders}
 
     def _visible(self, lenient: bool) -> list[tuple[str, int]]:
         """Return names and inodes. A listing that a compaction falls into may miss the old and the new: it must repeat itself."""
         known = None
         while True:
             with contextlib.suppress(FileNotFoundError):  # a compacted shard that is compacted again just now
-                found, replaced = _listed(self.path / "shards", lenient)
+                found, replaces = _listed(self.path / "shards", lenient)
                 if found == known:
+                    replaced = set().union(*replaces.values())
                     return [key for key in found if key[0] not in replaced]
                 known = found
 
@@ -122,10 +129,10 @@ class Store:
                 for key in visible:  # what a folder holds never changes
                     folder = self.path / "shards" / key[0]
                     if check and key not in self._checked:
-                        manifest.check_sizes(folder)
+                        self._trials[key] = set(manifest.checked_trials(folder) or shard_files.trials_in(folder))
                         self._checked.add(key)
-                    if key not in self._trials:
-                        self._trials[key] = shard_files.trials_in(folder)
+                    elif key not in self._trials:
+                        self._trials[key] = set(manifest.trials_said(folder) or shard_files.trials_in(folder))
             except FileNotFoundError:  # compacted since it was listed
                 continue
             now = frozenset(visible)
@@ -162,13 +169,15 @@ class Store:
                     shard_files.write(staging, read().without(present))
                 if new:
                     self.publish(staging, self.free_name(shard))
-        self._forget_failures(new)
+        with contextlib.suppress(UserError):
+            self._failures.forget(new, lambda: self._finished(check=False))
         return len(new)
 
     def free_name(self, shard: str) -> str:
         """Return the name, or where it is taken one that begins with it: the rest of a shard may come after the first part."""
-        found, replaced = _listed(self.path / "shards", lenient=True)
-        return f"{shard}-{uuid.uuid4().hex[:8]}" if shard in replaced.union(name for name, _ in found) else shard
+        found, replaces = _listed(self.path / "shards", lenient=True)
+        is_taken = shard in {name for name, _ in found}.union(*replaces.values())
+        return f"{shard}-{uuid.uuid4().hex[:8]}" if is_taken else shard
 
     @contextlib.contextmanager
     def staged(self, shard: str) -> Iterator[Path]:
@@ -197,8 +206,13 @@ class Store:
         flush_folder(final.parent)
 
     def discard(self, shards: Iterable[Path]) -> None:
-        """Remove shards that others replace: each disappears at once, whatever happens while its files are removed."""
+        """Remove shards that others replace: each disappears at once, whatever happens while its files are removed.
+
+        Raises ValueError for a folder that is no shard's.
+        """
         for folder in shards:
+            if not self._is_place(folder):
+                raise ValueError(f"{folder}: is no shard of {self.path}")
             with self.staged(folder.name) as grave, contextlib.suppress(FileNotFoundError):  # another compaction was faster
                 folder.rename(grave / folder.name)
 
@@ -210,7 +224,7 @@ class Store:
         folder = self.path / "shards" / shard
         moment = datetime.datetime.now(datetime.UTC).strftime("%Y%m%dT%H%M%S")
         target = self.path / ".quarantine" / f"{shard}-{moment}-{uuid.uuid4().hex[:4]}"
-        if folder.parent != self.path / "shards" or not folder.is_dir():
+        if not self._is_place(folder) or not folder.is_dir():
             raise UserError(f'{self.path}: there is no shard "{shard}"')
         try:
             target.parent.mkdir(exist_ok=True)
@@ -221,6 +235,10 @@ class Store:
         except OSError as error:
             raise UnwritableError(f"{folder}: cannot be moved: {error.strerror or error}", error.errno) from error
         return target
+
+    def _is_place(self, folder: Path) -> bool:
+        """Whether this is where a shard may lie: whatever a name says, nothing outside `shards` is moved or removed."""
+        return folder.parent == self.path / "shards" and manifest.is_shard_name(folder.name)
 
     def check_writable(self) -> None:
         """Raise UnwritableError when nothing could be committed: better before training than after."""
@@ -254,29 +272,11 @@ class Store:
         """Write down why a shard could not be trained (`failures.REASONS`), if that can be written."""
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
         failure = Failure(tuple(identity_columns(trial) for trial in trials), reason, host, error, attempts, now)
-        file = self.path / failures.FOLDER / f"{shard}.json"
-        with contextlib.suppress(OSError):
-            file.parent.mkdir(exist_ok=True)
-            write_atomically(file, failure.to_json())
+        self._failures.write(shard, failure)
 
     def failures(self) -> list[Failure]:
         """Return what could not be trained, the oldest first, without trials that are finished by now."""
-        recorded = failures.read(self.path).values()
-        finished = self._finished(check=False) if recorded else set()
-        left = []
-        for failure in recorded:
-            trials = tuple(trial for trial in failure.trials if trial["trial"] not in finished)
-            if trials:
-                left.append(dataclasses.replace(failure, trials=trials))
-        return left
-
-    def _forget_failures(self, finished: set[str]) -> None:
-        """Drop the records of failures whose trials have been trained since."""
-        for file, failure in failures.read(self.path).items():
-            trials = {trial["trial"] for trial in failure.trials}
-            with contextlib.suppress(OSError, UserError):
-                if trials & finished and trials <= self._finished(check=False):
-                    file.unlink()
+        return self._failures.unfinished(lambda: self._finished(check=False))
 
     def clean_up(self) -> None:
         """Remove what killed workers left behind a day ago or earlier; it was never visible."""
@@ -313,9 +313,9 @@ class Store:
             yield
 
 
-def is_stale(file: Path) -> bool:
+def is_stale(file: Path, seconds: float = STALE_SECONDS) -> bool:
     """Return whether a file or folder is so old that nobody works on it any longer. Raises OSError."""
-    return time.time() - file.stat().st_mtime > STALE_SECONDS
+    return time.time() - file.stat().st_mtime > seconds
 
 
 def _is_beginning(file: Path) -> bool:
@@ -332,15 +332,15 @@ def _folders_in(folder: Path) -> list[tuple[str, int]]:
         return []
 
 
-def _listed(shards: Path, lenient: bool) -> tuple[list[tuple[str, int]], set[str]]:
-    """Return the folders in `shards`, and the names that compacted ones replace. Raises DamagedError, FileNotFoundError."""
+def _listed(shards: Path, lenient: bool) -> tuple[list[tuple[str, int]], dict[str, set[str]]]:
+    """Return the folders in `shards`, and compacted one → names it replaces. Raises DamagedError, FileNotFoundError."""
     found = _folders_in(shards)
-    replaced: set[str] = set()
+    replaces: dict[str, set[str]] = {}
     for name, _ in found:
         if name.startswith(manifest.COMPACTED):
             try:
-                replaced.update(manifest.read_written(shards / name).replaces)
+                replaces[name] = set(manifest.read_written(shards / name).replaces)
             except manifest.DamagedError:
                 if not lenient:
                     raise
-    return found, replaced
+    return found, replaces

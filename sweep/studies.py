@@ -14,7 +14,7 @@ _SHORTEST = 4
 def grid_of(store: Store, study: str) -> Grid:
     """Return the grid of a study as it was launched last. Raises UserError for a study that the store does not know."""
     text, overrides = store.study_source(study)
-    return parse(text, f"{store.path}: study {study}", overrides)
+    return parse(text, str(store.path / "studies" / study / "grid.toml"), overrides)
 
 
 def stages_of(store: Store, grid: Grid) -> dict[str, list[Trial]]:
@@ -24,6 +24,12 @@ def stages_of(store: Store, grid: Grid) -> dict[str, list[Trial]]:
     if frozen is not None and grid.evaluate_seeds:
         stages["evaluate"] = evaluation_trials(grid, frozen.chosen())
     return stages
+
+
+def trials_of(store: Store) -> dict[str, Trial]:
+    """Return all trials of all studies by their names."""
+    stages = (stages_of(store, grid_of(store, study)) for study in store.studies())
+    return {trial.id: trial for known in stages for trials in known.values() for trial in trials}
 
 
 def named(store: Store, study: str | None) -> list[str]:

@@ -14,7 +14,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from sweep import shard_files
-from sweep.files import UnwritableError, write_atomically
+from sweep.files import UnwritableError, flush_folder, write_atomically
 from sweep.messages import UserError
 
 GRID, OVERRIDES, MEMBERS = "grid.toml", "overrides.json", "members.parquet"
@@ -31,16 +31,19 @@ def write(folder: Path, grid: str, members: pa.Table, overrides: Sequence[str]) 
     }
     try:
         for file, content in contents.items():
-            _keep(folder / file, content)
+            keep(folder / file, content)
     except OSError as error:
         message = f"{folder}: the study cannot be written to this store: {error.strerror or error}"
         raise UnwritableError(message, error.errno) from None
 
 
-def _keep(file: Path, content: bytes | None) -> None:
-    """See to it that a file has this content, or that there is none."""
-    if content is None:
+def keep(file: Path, content: bytes | None) -> None:
+    """See to it that a study's file has this content, or that there is none, on disk as well. Raises OSError."""
+    if content is None and file.exists():
         file.unlink(missing_ok=True)
+        flush_folder(file.parent)
+    elif content is None:
+        return
     elif not file.exists() or file.read_bytes() != content:
         file.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(file, content)

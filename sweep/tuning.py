@@ -54,7 +54,8 @@ def refuse_missing(grid: Grid, trials: Sequence[Trial], scores: Mapping[str, Tri
             for (agent, environment), count in missing.items()
         ]
         raise IncompleteError(
-            f"{grid.name}: nothing can be chosen: {sum(missing.values()):,} of {len(trials):,} tuning trials are missing:\n"
+            f"{grid.name}: nothing can be chosen: {sum(missing.values()):,} of {len(trials):,} tuning trials are missing or have "
+            "failed:\n"
             + "".join(f"  {line}\n" for line in lines)
             + "`sweep launch` trains them; `--allow-partial` chooses among the settings that lack none"
         )

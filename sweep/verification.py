@@ -6,16 +6,17 @@ A damaged file is named, with the trials that it spoils, and the rest is checked
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from sweep import schema
+from sweep import checkpoints, manifest, schema
 from sweep.manifest import DamagedError
 from sweep.shard_checks import CheckedShard, Problem, check
 from sweep.shard_files import TRIALS, read_table
-from sweep.store import Store, is_stale
+from sweep.store import STALE_SECONDS, Store, is_stale
 
 _THREADS = 4
+_CHECKPOINT_SECONDS = 30 * 24 * 3600  # so long a launch may go on with one (`cluster.resuming`)
 _WORK_FOLDERS = (".staging", ".launches", ".checkpoints", ".progress")
 
 
@@ -50,7 +51,7 @@ def verify(store: Store, *, quick: bool = False, say: Callable[[str], None] = la
     shards = []
     # reading, hashing and comparing leave Python to other threads most of the time
     with ThreadPoolExecutor(min(_THREADS, os.cpu_count() or 1)) as pool:
-        for number, shard in enumerate(pool.map(lambda folder: check(folder, quick=quick), folders), 1):
+        for number, shard in enumerate(pool.map(lambda folder: _checked(folder, quick), folders), 1):
             if shard is not None:
                 shards.append(shard)
             say(f"{number:,} of {len(folders):,} shards")
@@ -65,6 +66,25 @@ def verify(store: Store, *, quick: bool = False, say: Callable[[str], None] = la
         leftovers=tuple(_leftovers(store)),
         quarantined=tuple(sorted(store.path.glob(".quarantine/*"))),
     )
+
+
+def _checked(folder: Path, quick: bool) -> CheckedShard | None:
+    """Check a shard, and the trials that its manifest names; these are what is known of one whose files do not tell any."""
+    shard = check(folder, quick=quick)
+    try:
+        known = manifest.read(folder)
+    except (DamagedError, FileNotFoundError):  # is a problem already, or was compacted meanwhile
+        return shard
+    if shard is None or known is None or known.trials is None:
+        return shard
+    named = frozenset(known.trials)
+    if not shard.trials:
+        shard.trials = named
+        shard.problems = [replace(problem, trials=problem.trials or tuple(sorted(named))) for problem in shard.problems]
+    elif not shard.problems and named != shard.trials:
+        different = tuple(sorted(named ^ shard.trials))
+        shard.problems.append(Problem(shard.name, folder / manifest.NAME, different, "names other trials than the tables"))
+    return shard
 
 
 def _shared_trials(store: Store, shards: list[CheckedShard]) -> Iterator[Problem]:
@@ -99,9 +119,10 @@ def _leftovers(store: Store) -> Iterator[Path]:
     yield from store.superseded()
     hidden = [file for folder in _WORK_FOLDERS for file in store.path.glob(f"{folder}/*")]
     hidden += [file for pattern in (".sweep-store*", "failures/.*", "studies/*/.*") for file in store.path.glob(pattern)]
+    kept = set(checkpoints.files(store.path))
     for file in sorted(hidden):
         try:
-            if is_stale(file):
+            if is_stale(file, _CHECKPOINT_SECONDS if file in kept else STALE_SECONDS):
                 yield file
         except OSError:  # removed meanwhile
             continue

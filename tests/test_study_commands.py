@@ -167,7 +167,7 @@ def test_failures_say_why_and_how_to_see_it_again_and_retry_trains_them(mine):
     assert (ran.returncode, "Its rows are in the store now." in ran.stdout) == (0, True)
     ran = sweep("retry", "--executor", "in-process", cwd=mine)
     assert ran.returncode == 0, ran.stderr
-    assert "1 trials trained" in ran.stdout
+    assert "1 trial trained" in ran.stdout
     assert sorted(row["x"] for row in rows(mine)) == [1, 1, 2, 2, 3, 3]
     assert sweep("failures", cwd=mine).stdout == "No trial has failed.\n"
     assert "Nothing failed, and nothing is damaged." in sweep("retry", "--executor", "in-process", cwd=mine).stdout

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from sweep.messages import counted
 from sweep.options import (
     DEFAULT_STORE,
     AddressOption,
@@ -26,8 +27,8 @@ from sweep.options import (
 )
 
 if TYPE_CHECKING:
-    from cluster.launch import Summary
     from cluster.protocol import Outcome
+    from cluster.summary import Summary
 
 #: Work of more than this many hours, on all workers together, is asked about.
 ASK_HOURS = 1.0
@@ -64,12 +65,14 @@ def launch(
 
     study = load(grid, set_ or ())
     trials = expand(study)
-    check_engine(device.value)
+    check_engine(device.value, here=address is None)
     progress = Progress(Console(stderr=as_json))
     start = executor_starter("launch", executor, address, num_cpus, progress.tick)
     if any(trial.steps < trial.cutoff for trial in trials):
+        then = " Where none has, nothing can be chosen to evaluate." if study.evaluate_seeds else ""
         typer.echo(
-            "Trials are shorter than the cutoff: an episode that does not terminate by itself has no return to score.", err=True
+            f"Trials are shorter than the cutoff: an episode that does not terminate by itself has no return to score.{then}",
+            err=True,
         )
     opened = Store.create(store)
     dropped = opened.study_trials(study.name, "tune") - {trial.id for trial in trials}
@@ -111,14 +114,19 @@ def _confirm(trials: int, hours: float) -> bool:
 
 def _lines(outcome: "Outcome") -> Sequence[str]:
     if outcome.is_complete and not outcome.total("trained") and not outcome.total("already_there"):
-        return [f"{outcome.study}: all {outcome.total('trials'):,} trials are finished; nothing to do."]
+        return [*outcome.messages, f"{outcome.study}: all {outcome.total('trials'):,} trials are finished; nothing to do."]
     lines: list[str] = []
     for number, stage in enumerate(outcome.stages):
-        if number == len(outcome.stages) - 1:
-            lines += outcome.messages
         lines += _stage_lines(stage, len(outcome.stages) > 1)
+        if number == 0:
+            lines += outcome.messages
     if "evaluate" in outcome.open_stages:
-        lines.append("The evaluation stage begins when all tuning trials are finished.")
+        complete = outcome.stages[0].finished == outcome.stages[0].trials
+        lines.append(
+            "No setting could be chosen, so that none is evaluated."
+            if complete and not outcome.interrupted
+            else "The evaluation stage begins when all tuning trials are finished."
+        )
     return lines
 
 
@@ -127,18 +135,20 @@ def _stage_lines(stage: "Summary", several: bool) -> list[str]:
     if stage.finished_before == stage.trials:
         return [f"{name}: all {stage.trials:,} trials were finished."]
     lines = [
-        f"{name}: {stage.trained:,} trials trained in {stage.seconds:,.0f} s, "
+        f"{name}: {counted(stage.trained, 'trial')} trained in {stage.seconds:,.0f} s, "
         f"{stage.agent_steps_per_second:,.0f} agent-steps a second; "
         f"{stage.finished:,} of {stage.trials:,} finished."
     ]
     if stage.already_there:
         lines.append(f"{stage.already_there:,} were in the store by then: another launch had trained them.")
+    if stage.trouble:
+        lines.append(f"Stopped: {stage.trouble}")
     if stage.store_is_unwritable:
         lines.append("Stopped: the store cannot be written to (see the errors above). Make room, then launch again.")
     if stage.diverged:
         lines.append(f"{stage.diverged:,} diverged: their numbers stopped being finite. They are kept, and marked.")
     if stage.failed:
-        lines.append(f"{stage.failed:,} trials failed: `sweep failures` says why, `sweep retry` tries them again.")
+        lines.append(f"{counted(stage.failed, 'trial')} failed: `sweep failures` says why, `sweep retry` tries them again.")
     if stage.interrupted:
         lines.append("Interrupted. What is finished is in the store; launch again to go on.")
     return lines

@@ -53,7 +53,7 @@ def plan(
     study = load(grid, set_ or ())
     stages = planned(study, Store.open_if_any(store))
     trials = stages.trials
-    check_engine(device.value)
+    check_engine(device.value, here=address is None)
     training = Training(device.value, threads, tf32=tf32)
     if pilot:
         start = executor_starter("plan", executor, address, num_cpus)

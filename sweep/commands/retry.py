@@ -47,14 +47,14 @@ def retry(
     from sweep.store import Store
     from sweep.studies import named
 
-    check_engine(device.value)
+    check_engine(device.value, here=address is None)
     opened = Store.open(store)
     studies = named(opened, study)
     progress = Progress(Console(stderr=as_json))
     start = executor_starter("retry", executor, address, num_cpus, progress.tick)
-    healed = _put_aside_what_is_damaged(opened)
+    _put_aside_what_is_damaged(opened)
     training = Training(device.value, threads, None, tf32, checkpoint_every)
-    outcome = Outcome(study or "all studies", again(opened, studies, healed, start, progress, training))
+    outcome = Outcome(study or "all studies", again(opened, studies, start, progress, training))
     if not outcome.stages:
         typer.echo("Nothing failed, and nothing is damaged.", err=as_json)
     if outcome.stages or as_json:
@@ -62,20 +62,35 @@ def retry(
     finish(outcome)
 
 
-def _put_aside_what_is_damaged(store: "Store") -> set[str]:
-    """Put aside damaged shards and return their trials. Raises UserError when something else is damaged."""
+def _put_aside_what_is_damaged(store: "Store") -> None:
+    """Put aside damaged shards, and write down their trials as failed, so that nothing is forgotten if this is cut off.
+
+    Raises UserError, before anything is moved, when something else is damaged.
+    """
+    import socket
+
+    from sweep.failures import DAMAGED
     from sweep.messages import UserError
+    from sweep.studies import trials_of
     from sweep.verification import verify
 
     found = verify(store, quick=True)
-    trials: set[str] = set()
-    for shard in sorted({problem.shard for problem in found.problems if problem.shard}):
-        trials |= {trial for problem in found.problems if problem.shard == shard for trial in problem.trials}
-        typer.echo(f"shard {shard} is damaged: put aside in {store.quarantine(shard)}", err=True)
     other = [f"{problem.file}: {problem.what}" for problem in found.problems if not problem.shard]
     if other:
         raise UserError("\n".join(other))
-    return trials
+    known = trials_of(store) if found.problems else {}
+    for shard in sorted({problem.shard for problem in found.problems}):
+        problems = [problem for problem in found.problems if problem.shard == shard]
+        names = sorted({trial for problem in problems for trial in problem.trials})
+        wanted = [known[name] for name in names if name in known]
+        what = "\n".join(f"{problem.file.name}: {problem.what}" for problem in problems)
+        if wanted:
+            store.record_failure(shard, wanted, DAMAGED, socket.gethostname(), what)
+        typer.echo(f"shard {shard} is damaged: put aside in {store.quarantine(shard)}", err=True)
+        if len(wanted) < len(names):
+            typer.echo(f"{len(names) - len(wanted):,} of its trials belong to no study of this store.", err=True)
+        if not names:
+            typer.echo("Which trials it held cannot be read: launch the study again to train whatever is missing.", err=True)
 
 
 def run(
@@ -94,7 +109,7 @@ def run(
     from sweep.store import Store
     from sweep.studies import find_trial
 
-    check_engine(device.value)
+    check_engine(device.value, here=True)
     opened = Store.open(store)
     study, found = find_trial(opened, trial)
     values = ", ".join(f"{name} = {value}" for name, value in found.applicable_hypers.items())

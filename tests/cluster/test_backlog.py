@@ -7,6 +7,7 @@ from cluster import backlog
 from cluster.backlog import MOST_ALIKE, Backlog
 from cluster.worker import Receipt
 from sweep.shards import Shard
+from sweep.shards import pack as packing
 from sweep.trials import Trial
 
 
@@ -21,7 +22,10 @@ class World:
         self.finished, self.claimed = set(), set()
 
     def backlog(self, *shards):
-        return Backlog([Shard(tuple(shard)) for shard in shards], lambda: self.finished, lambda: self.claimed)
+        def pack(members):
+            return packing(members, slots=1)
+
+        return Backlog([Shard(tuple(shard)) for shard in shards], lambda: self.finished, lambda: self.claimed, pack)
 
 
 @pytest.fixture(autouse=True)
@@ -41,6 +45,7 @@ def train(pending, fails, message="ValueError: bad"):
                 given_up.append(failed)
         else:
             done += shard.trials
+            pending.succeeded(shard)
     return done, given_up, tried
 
 
@@ -62,6 +67,15 @@ def test_when_everything_fails_alike_it_is_not_all_taken_apart():
     assert sum(len(failed.shard.trials) for failed in given_up) == 640
     assert len(tried) < 64
     assert sum(len(failed.shard.trials) == 1 for failed in given_up) == MOST_ALIKE
+
+
+def test_many_trials_that_fail_among_good_ones_cost_no_good_one(monkeypatch):
+    members = trials(64 * 20)
+    bad = members[5::30]  # two or three in each shard
+    shards = [members[first : first + 64] for first in range(0, len(members), 64)]
+    done, given_up, _ = train(World().backlog(*shards), bad)
+    assert sorted(trial.seed for failed in given_up for trial in failed.shard.trials) == [trial.seed for trial in bad]
+    assert len(done) == len(members) - len(bad)
 
 
 def test_errors_of_another_type_are_still_taken_apart():
@@ -116,11 +130,16 @@ def test_what_another_launch_trains_is_left_to_it_and_taken_up_when_it_gives_up(
     assert not pending
 
 
-def test_what_is_taken_up_is_packed_with_its_like_only():
+def test_what_is_taken_up_is_packed_anew_into_shards_of_the_usual_size():
     world = World()
-    short, long = trials(2), trials(2, steps=20)
+    short, long = trials(200), trials(70, steps=20)
     pending = world.backlog(short, long)
     world.claimed = {trial.id for trial in (*short, *long)}
     assert pending.next() is None
     world.claimed = set()
-    assert [set(pending.next().trials) for _ in range(2)] == [set(short), set(long)]
+    found = []
+    while pending:
+        found.append(pending.next())
+    assert {trial for shard in found for trial in shard.trials} == {*short, *long}
+    assert max(len(shard.trials) for shard in found) <= 64
+    assert all(len({trial.steps for trial in shard.trials}) == 1 for shard in found)

@@ -162,7 +162,7 @@ def test_a_failing_setting_holds_the_selection_up_unless_partial_ones_are_allowe
     assert outcome.stages[1].finished == outcome.stages[1].trials
     assert not outcome.is_complete  # the four are failed still
     monkeypatch.undo()
-    again = protocol.again(store, ["tiny"], set(), InProcessExecutor, Progress(Console(file=io.StringIO())), Training())
+    again = protocol.again(store, ["tiny"], InProcessExecutor, Progress(Console(file=io.StringIO())), Training())
     assert [(summary.stage, summary.trained) for summary in again] == [("tune", 4)]
     assert store.failures() == []
     outcome, _ = run(store)
@@ -215,3 +215,64 @@ def test_somebody_who_says_no_has_nothing_trained(tmp_path):
     assert asked[0][0] == 20
     assert outcome.interrupted
     assert store.finished_trials() == set()
+
+
+def test_one_is_asked_once_for_all_stages(tmp_path):
+    asked = []
+    outcome, _ = run(Store.create(tmp_path), confirm=lambda *numbers: asked.append(numbers) or True)
+    assert (len(outcome.stages), outcome.is_complete, len(asked)) == (2, True, 1)
+
+
+def test_where_nothing_has_a_score_nothing_is_chosen_and_the_study_is_not_complete(tmp_path):
+    store = Store.create(tmp_path)
+    for _ in range(2):
+        outcome, _ = run(store, GRID.replace("steps = 60", "steps = 15"))  # no episode comes to its end
+        assert (outcome.open_stages, outcome.is_complete) == (["evaluate"], False)
+        assert any("nothing is chosen" in message for message in outcome.messages)
+
+
+def test_nothing_is_evaluated_when_the_store_takes_nothing(tmp_path, monkeypatch):
+    store = Store.create(tmp_path)
+    run(store, training=Training(limit=12))
+    monkeypatch.setattr(Store, "commit", lambda *_arguments: (_ for _ in ()).throw(OSError(28, "full")))
+    outcome, _ = run(store, allow_partial=True)
+    assert [stage.stage for stage in outcome.stages] == ["tune"]
+    assert outcome.open_stages == ["evaluate"]
+    assert (outcome.stages[0].store_is_unwritable, outcome.total("failed")) == (True, 0)
+
+
+def test_a_partial_choice_stays_when_what_was_missing_fails_again(tmp_path, monkeypatch):
+    from agents.algorithms.sac import SAC
+
+    original = SAC.__init__
+
+    def fails_for_large_steps(self, population, task, stream):
+        if any(hypers.critic_step_size == 0.1 for hypers in population.hypers):
+            raise RuntimeError("too large")
+        original(self, population, task, stream)
+
+    monkeypatch.setattr(SAC, "__init__", fails_for_large_steps)
+    store = Store.create(tmp_path)
+    run(store, training=Training(limit=19), allow_partial=True)
+    run(store, allow_partial=True)
+    before = chosen(store)
+    outcome, _ = run(store, GRID.replace("evaluate = 3", "evaluate = 4"))
+    assert chosen(store) == before
+    assert outcome.stages[1].trained == len({(row["agent"], row["environment"], row["setting"]) for row in before})
+
+
+def test_a_file_that_is_damaged_while_a_stage_runs_ends_it_with_a_message(tmp_path):
+    store = Store.create(tmp_path)
+
+    class Damages(InProcessExecutor):
+        def wait(self, seconds):
+            receipts = super().wait(seconds)
+            for folder in store.shards()[:1]:
+                (folder / "trials.parquet").write_bytes(b"")
+            return receipts
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("cluster.backlog._LOOK_SECONDS", 0.0)
+        outcome, _ = run(store, start=Damages)
+    assert "trials.parquet" in (outcome.stages[0].trouble or "")
+    assert (outcome.open_stages, outcome.is_complete) == (["evaluate"], False)

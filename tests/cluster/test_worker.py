@@ -1,5 +1,6 @@
 """One shard, from its trials to its rows: stopped and gone on from, raised by one trial, trained trial by trial."""
 
+import errno
 import json
 
 import pyarrow.parquet as pq
@@ -11,6 +12,7 @@ from cluster.resuming import resumable
 from cluster.worker import Training, Work, run_shard
 from sweep import checkpoints
 from sweep.launches import Heartbeat
+from sweep.messages import UserError
 from sweep.shards import Shard
 from sweep.store import Store
 from sweep.trials import Trial
@@ -120,6 +122,80 @@ def test_a_disk_that_takes_no_checkpoint_stops_no_training(tmp_path):
     store = Store.create(tmp_path)
     (tmp_path / ".checkpoints").write_text("in the way")
     assert run_shard(Work(population(), str(store.path), Training(checkpoint_seconds=0.0))).committed == 3
+
+
+@pytest.mark.parametrize("error", [OSError(errno.EIO, "Input/output error"), OSError(errno.ESTALE, "Stale file handle")])
+def test_what_a_network_may_get_over_is_tried_again(tmp_path, monkeypatch, error):
+    monkeypatch.setattr(cluster.worker, "_TRY_AGAIN_SECONDS", 0.0)
+    store, commit, calls = Store.create(tmp_path), Store.commit, []
+
+    def fails_twice(self, shard, tables):
+        calls.append(1)
+        if len(calls) < 3:
+            raise error
+        return commit(self, shard, tables)
+
+    monkeypatch.setattr(Store, "commit", fails_twice)
+    receipt = run_shard(Work(population(), str(store.path)))
+    assert (receipt.committed, receipt.error, len(calls)) == (3, None, 3)
+
+
+@pytest.mark.parametrize(
+    "error", [OSError(errno.ENOSPC, "full"), OSError(errno.EIO, "broken"), OSError(errno.EACCES, "mine"), UserError("damaged")]
+)
+def test_rows_that_the_store_does_not_take_are_kept_in_a_checkpoint_and_no_trial_is_to_blame(tmp_path, monkeypatch, error):
+    def fails(*_arguments):
+        raise error
+
+    monkeypatch.setattr(cluster.worker, "_TRY_AGAIN_SECONDS", 0.0)
+    store = Store.create(tmp_path)
+    with monkeypatch.context() as patch:
+        patch.setattr(Store, "commit", fails)
+        receipt = run_shard(Work(population(), str(store.path)))
+    assert (receipt.store_is_unwritable, receipt.reason, receipt.committed, receipt.culprit) == (True, "store", 0, None)
+    assert str(error) in receipt.error
+    receipt = run_shard(Work(population(), str(store.path)))
+    assert (receipt.committed, receipt.resumed_steps) == (3, 3 * 120)
+
+
+def test_trials_that_are_in_the_store_are_not_trained_a_second_time(tmp_path, monkeypatch):
+    store = Store.create(tmp_path)
+    run_shard(Work(population(), str(store.path)))
+    monkeypatch.setattr("agents.training.Run", lambda *_arguments, **_options: pytest.fail("it is finished"))
+    receipt = run_shard(Work(population(), str(store.path)))  # as Ray does when a worker dies after its commit
+    assert (receipt.committed, receipt.error) == (0, None)
+
+
+def test_a_users_own_way_to_save_that_raises_costs_the_checkpoints_only(tmp_path, monkeypatch):
+    def raises(_self):
+        raise KeyError("mine")
+
+    monkeypatch.setattr("agents.algorithms.sac.SAC.state_for_checkpoint", raises, raising=False)
+    monkeypatch.setattr("agents.algorithms.sac.SAC.restore_from_checkpoint", raises, raising=False)
+    store = Store.create(tmp_path)
+    receipt = run_shard(Work(population(), str(store.path), Training(checkpoint_seconds=0.0)))
+    assert (receipt.committed, receipt.error) == (3, None)
+    assert receipt.note == "SAC on Pendulum-CA has no checkpoints: 'mine'"
+
+
+@pytest.mark.parametrize("header", [{"trials": None}, {"trials": [[1]]}, {"trials": "same"}, {"step": "x"}, {}])
+def test_a_checkpoint_that_says_nothing_sensible_of_itself_is_passed_over(tmp_path, header):
+    members = population(2).trials
+    names = [members[0].id, members[0].id] if header.get("trials") == "same" else [trial.id for trial in members]
+    known = {"trials": names, "step": 5} | {name: value for name, value in header.items() if value != "same"}
+    checkpoints.save(checkpoints.file_of(tmp_path, "0" * 16), known if header else {}, {})
+    shards, rest = resumable(tmp_path, members)
+    assert (shards, rest) == ({}, list(members))
+
+
+def test_of_two_checkpoints_that_share_trials_the_furthest_is_taken(tmp_path):
+    members = population(4).trials
+    for name, names, step in (("0" * 16, members[:3], 5), ("1" * 16, members[2:], 50)):
+        header = {"trials": [trial.id for trial in names], "step": step}
+        checkpoints.save(checkpoints.file_of(tmp_path, name), header, {})
+    shards, rest = resumable(tmp_path, members)
+    assert [(shard.trials, steps) for shard, steps in shards.items()] == [(members[2:], 100)]
+    assert rest == list(members[:2])
 
 
 def test_a_worker_begins_nothing_for_a_launch_that_drains(tmp_path):

@@ -1,7 +1,9 @@
 """Compaction: the same rows in fewer files, whoever looks on and whatever fails."""
 
 import contextlib
+import dataclasses
 import errno
+import fcntl
 import multiprocessing
 import os
 import shutil
@@ -15,6 +17,7 @@ import pytest
 from faults import Faults, Killed
 from small_shards import rows, tables, trial
 
+from sweep import manifest
 from sweep.compaction import compact
 from sweep.files import UnwritableError
 from sweep.manifest import DamagedError
@@ -161,6 +164,82 @@ def test_what_was_replaced_stays_invisible_when_the_compacted_shard_is_compacted
     assert [folder.name[:2] for folder in store.shards()] == ["c-"]
     compact(store)
     assert len(list(tmp_path.glob("shards/*"))) == 1
+
+
+def killed_compaction(store):
+    """Compact a store, but leave the originals; return the folder that replaces them."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Store, "discard", lambda *_: None)
+        compact(store)
+    (folder,) = store.shards()
+    return folder
+
+
+@pytest.mark.parametrize("name", ["trials.parquet", "episodes.parquet", "steps.parquet"])
+def test_originals_outlive_a_killed_compaction_until_what_replaces_them_is_found_sound(tmp_path, name):
+    store = small(tmp_path, shards=3)
+    replacing = killed_compaction(store)
+    originals = store.superseded()
+    assert len(originals) == 3
+    whole = (replacing / name).read_bytes()
+    (replacing / name).write_bytes(whole[:200] + bytes([whole[200] ^ 1]) + whole[201:])
+    store.commit("late", tables([100]))
+    counts = compact(store)
+    assert [(problem.shard, problem.file.name) for problem in counts.damaged] == [(replacing.name, name)]
+    assert store.superseded() == originals and replacing.exists()
+    store.quarantine(replacing.name)
+    assert len(store.finished_trials()) == 7 and verify(store).problems == ()  # nothing is lost
+    compact(store)
+    assert (len(list(tmp_path.glob("shards/*"))), verify(store).trials) == (1, 7)
+
+
+def test_originals_are_left_when_what_replaces_them_is_put_aside_meanwhile(tmp_path, monkeypatch):
+    store = small(tmp_path, shards=3)
+    replacing = killed_compaction(store)
+    locked = Store.locked
+
+    def put_aside_first(self):
+        monkeypatch.setattr(Store, "locked", locked)
+        Store.open(tmp_path).quarantine(replacing.name)
+        return locked(self)
+
+    monkeypatch.setattr(Store, "locked", put_aside_first)
+    compact(store)
+    assert len(store.finished_trials()) == 6 and verify(store).problems == ()
+
+
+def test_originals_are_removed_under_the_lock(tmp_path, monkeypatch):
+    store, held = small(tmp_path, shards=3), []
+    discard = Store.discard
+
+    def spy(self, shards):
+        with open(tmp_path / ".lock", "a") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                held.append(False)
+            except BlockingIOError:
+                held.append(True)
+        discard(self, shards)
+
+    killed_compaction(store)
+    monkeypatch.setattr(Store, "discard", spy)
+    store.commit("late", tables([100]))
+    assert compact(store).shards_after == 1
+    assert held == [True, True]  # what was left over, and what was put together now
+
+
+def test_a_manifest_that_replaces_a_folder_outside_the_store_removes_nothing(tmp_path):
+    store = small(tmp_path / "store", shards=1)
+    precious = tmp_path / "precious"
+    precious.mkdir()
+    forged = store.path / "shards" / "c-0123"
+    shutil.copytree(store.path / "shards" / "shard-0", forged)
+    for name in ("../../precious", str(precious)):
+        known = manifest.read(store.path / "shards" / "shard-0")
+        dataclasses.replace(known, replaces=(name,)).write(forged)
+        with pytest.raises(DamagedError, match=r"c-0123/manifest.json: is damaged: it replaces '.*precious', which can be no"):
+            compact(store)
+        assert precious.exists()
 
 
 def test_a_compacted_shard_that_does_not_say_what_it_replaces_is_refused_rather_than_counted_twice(tmp_path):

@@ -6,7 +6,8 @@ from datetime import UTC, datetime, timedelta
 
 from small_shards import tables, trial
 
-from sweep.failures import KILLED, REASONS
+from sweep import failures
+from sweep.failures import DAMAGED, KILLED, LOST, REASONS
 from sweep.store import Store
 
 
@@ -48,14 +49,14 @@ def test_trials_that_are_finished_by_now_have_not_failed(tmp_path):
 
 def test_files_that_cannot_be_read_are_skipped_and_those_of_old_are_not(tmp_path):
     store = Store.create(tmp_path)
-    store.record_failure("new", [trial(0)], "timeout", "host", "late")
+    store.record_failure("new", [trial(0)], "damaged", "host", "late")
     old = {"trials": [trial(1).id], "host": "node", "error": "boom"}
     (tmp_path / "failures" / "old.json").write_text(json.dumps(old))
     for number, content in enumerate(("", "[1]", '{"trials": 5}', '{"trials": [{}]}', '{"trials": [], "format": 1}', "\udcff")):
         (tmp_path / "failures" / f"bad-{number}.json").write_bytes(os.fsencode(content))
     oldest, newest = store.failures()
     assert (oldest.trials, oldest.reason, oldest.host, oldest.error) == (({"trial": trial(1).id},), "exception", "node", "boom")
-    assert newest.reason == "timeout"
+    assert newest.reason == "damaged"
     store.commit("shard", tables([1]))
     assert not (tmp_path / "failures" / "old.json").exists()
 
@@ -68,5 +69,26 @@ def test_a_failure_that_cannot_be_written_down_is_no_error(tmp_path):
 
 
 def test_every_reason_has_a_sentence():
-    assert set(REASONS) == {"exception", "memory", "killed", "lost", "store", "timeout"}
+    assert set(REASONS) == {"exception", "memory", "killed", "lost", "store", "damaged"}
+    assert REASONS[DAMAGED] == "The trial's files were damaged and put aside."
     assert all(sentence.endswith(".") for sentence in REASONS.values())
+
+
+def test_a_record_is_parsed_once_and_again_only_when_it_has_changed(tmp_path, monkeypatch):
+    store, parsed, parse = Store.create(tmp_path), [], failures._parse
+    monkeypatch.setattr(failures, "_parse", lambda content: parsed.append(content["error"]) or parse(content))
+    for number in range(3):
+        store.record_failure(f"shard-{number}", [trial(number)], LOST, "host", f"error {number}")
+    for number in range(5):
+        store.commit(f"other-{number}", tables([10 + number]))
+        assert [failure.error for failure in store.failures()] == ["error 0", "error 1", "error 2"]
+    assert sorted(parsed) == ["error 0", "error 1", "error 2"]
+    stat = (tmp_path / "failures" / "shard-1.json").stat()
+    store.record_failure("shard-1", [trial(1)], LOST, "host", "error 9")  # as long as before, and just as old
+    os.utime(tmp_path / "failures" / "shard-1.json", ns=(stat.st_atime_ns, stat.st_mtime_ns))
+    (tmp_path / "failures" / "shard-2.json").unlink()
+    assert [failure.error for failure in store.failures()] == ["error 0", "error 9"]
+    assert parsed[3:] == ["error 9"]
+    store.commit("last", tables([1]))
+    assert [failure.error for failure in store.failures()] == ["error 0"]
+    assert not (tmp_path / "failures" / "shard-1.json").exists()

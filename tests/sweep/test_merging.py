@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import os
 import shutil
 from pathlib import Path
 
@@ -151,6 +152,37 @@ def test_of_a_study_that_is_further_along_in_one_store_that_one_is_taken(store, 
     for name in ("behind", "ahead"):
         assert store.study_trials(name, "evaluate") == {trial(2).id}
     assert (store.path / "studies" / "behind" / "selections.parquet").exists()
+
+
+def test_a_study_that_is_taken_is_wholly_theirs(store, other):
+    store.write_study("study", "mine", members_table("study", {"tune": [trial(0)]}), ["a=1"])
+    choose(store, "study", selection())
+    other.write_study("study", "theirs", members_table("study", {"tune": [trial(0), trial(1)]}))
+    merge(store, [other])
+    theirs, ours = (
+        {file.name: file.read_bytes() for file in (known.path / "studies" / "study").iterdir()} for known in (other, store)
+    )
+    assert ours == theirs and sorted(ours) == ["grid.toml", "members.parquet"]
+    assert store.study_source("study") == ("theirs", ())
+
+
+def test_a_study_that_is_taken_counts_as_ours_only_when_all_of_it_is_here(store, other, monkeypatch):
+    store.write_study("study", "mine", members_table("study", {"tune": [trial(0)]}), ["a=1"])
+    other.write_study("study", "theirs", members_table("study", {"tune": [trial(0), trial(1)]}))
+    unlink = os.unlink
+
+    def refuse(path, *rest, **options):
+        if os.fspath(path).endswith("overrides.json"):
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        unlink(path, *rest, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "unlink", refuse)
+        with pytest.raises(UnwritableError, match="study: cannot be written to: Input/output error"):
+            merge(store, [other])
+    assert store.study_trials("study") == {trial(0).id}
+    assert merge(store, [other]).studies == ["study"]
+    assert store.study_source("study") == ("theirs", ())
 
 
 def test_failures_are_not_brought(store, other):

@@ -16,6 +16,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from small_shards import tables, trial
 
+from cluster.resuming import resumable
+from sweep import checkpoints
 from sweep.compaction import compact
 from sweep.provenance import Provenance
 from sweep.store import Store
@@ -36,7 +38,9 @@ def rewrite(file, change):
         "rows": changed.num_rows,
         "sha256": hashlib.sha256(content).hexdigest(),
     }
-    known = json.dumps({key: said[key] for key in ("files", "replaces")}, sort_keys=True).encode()
+    if file.name == "trials.parquet" and "trial" in changed.column_names:
+        said["trials"] = changed["trial"].to_pylist()
+    known = json.dumps({key: said[key] for key in ("files", "replaces", "trials")}, sort_keys=True).encode()
     manifest.write_text(json.dumps(said | {"sha256": hashlib.sha256(known).hexdigest()}))
 
 
@@ -244,7 +248,7 @@ def test_what_killed_processes_left_behind_is_mentioned_once_it_is_a_day_old(sto
     left = [
         tmp_path / ".staging" / "shard-host-1-abc",
         tmp_path / ".launches" / "host-1-abc.json",
-        tmp_path / ".checkpoints" / "shard",
+        tmp_path / ".checkpoints" / ".shard.checkpoint-1-abc",
         tmp_path / "studies" / "study" / ".members.parquet-1-abc",
         tmp_path / "failures" / ".shard.json-1-abc",
     ]
@@ -260,3 +264,34 @@ def test_what_killed_processes_left_behind_is_mentioned_once_it_is_a_day_old(sto
     assert len(store.finished_trials()) == 4
     target = store.quarantine("b")
     assert verify(store).quarantined == (target,)
+
+
+@pytest.mark.parametrize("days", [2, 29.9, 30.1])
+def test_a_checkpoint_is_left_over_when_no_launch_would_go_on_with_it(store, tmp_path, days):
+    file = checkpoints.file_of(tmp_path, "shard")
+    checkpoints.save(file, {"trials": [trial(9).id], "step": 1}, {})
+    old = time.time() - days * 86400
+    os.utime(file, (old, old))
+    found = verify(store).leftovers
+    resumable(tmp_path, [])  # no trial is asked for: what is still of use stays
+    assert found == (() if file.exists() else (file,))
+    assert file.exists() == (days < 30)
+
+
+def test_trials_of_a_shard_of_which_no_file_can_be_read_are_named_by_its_manifest(store, tmp_path):
+    for file in tmp_path.glob("shards/a/*.parquet"):
+        file.write_bytes(b"")
+    report = verify(store)
+    assert report.trials == 4
+    assert report.damaged_trials == {trial(seed, evaluation=(500, 2)).id for seed in (0, 1, 2)}
+
+
+def test_a_manifest_that_names_other_trials_than_the_tables_is_found(store, tmp_path):
+    file = tmp_path / "shards" / "a" / "manifest.json"
+    said = json.loads(file.read_text())
+    lost = said["trials"].pop()
+    known = json.dumps({key: said[key] for key in ("files", "replaces", "trials")}, sort_keys=True).encode()
+    file.write_text(json.dumps(said | {"sha256": hashlib.sha256(known).hexdigest()}))
+    (problem,) = verify(store).problems
+    assert (problem.shard, problem.file, problem.trials) == ("a", file, (lost,))
+    assert problem.what == "names other trials than the tables"
