@@ -13,6 +13,7 @@ on Acrobot and −1.1 on Pendulum with the thesis' normalizer, so that Pendulum 
 """
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -39,7 +40,7 @@ class TuningRuns:
     run_scores: Mapping[str, Sequence[float]]
 
 
-class Normalizer:
+class Normalizer(ABC):
     """Environment → constants, and the function that they are the constants of."""
 
     name: ClassVar[str]
@@ -73,12 +74,13 @@ class Normalizer:
         """Return N of each score. Raises UndefinedNormalizerError where N is not defined, KeyError on unknown environments."""
         return self._apply(environment, np.asarray(scores, np.float64), **self._constants[environment]).tolist()
 
+    @abstractmethod
     def measure(self, runs: TuningRuns) -> dict[str, Any]:
         """Return the constants of one environment."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _apply(self, environment: str, scores: np.ndarray, **constants: Any) -> np.ndarray:
-        raise NotImplementedError
+        """Return N of each score."""
 
 
 class ThesisNormalizer(Normalizer):
