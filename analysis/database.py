@@ -8,12 +8,16 @@ Parquet is read by pyarrow and handed to DuckDB as Arrow datasets, for three rea
 - DuckDB prunes by Parquet statistics, which leave NaN out: its own reader finds no row `WHERE isnan(episodic_return)`.
 
 A connection sees the files that lay in the store when it was opened: views are evaluated when they are queried, but a
-shard committed later appears only in a new connection, so that everything read through one connection is of one state.
+shard committed later appears only in a new connection, so that everything read through one connection is of one state. So what
+is small is read once: the columns of `trials`, `members` and `selections` that were asked for, and the views that others read.
+(DuckDB writes a view out wherever it is named: the choices of a study would be a plan with a hundred scans of the same files.)
 """
 
 import re
 import tempfile
+import threading
 import uuid
+from collections.abc import Mapping
 from graphlib import TopologicalSorter
 from importlib import resources
 from pathlib import Path
@@ -44,6 +48,11 @@ _STUDY_TABLES = {
     "selections": schema.with_hypers(schema.SELECTIONS, _HYPERS, after="setting"),
 }
 _OPEN_TABLES = ("trials", "members", "selections")  # files may add hyperparameters of algorithms that are not registered here
+_READ_TOGETHER = {  # what every score needs, in one pass over the files
+    "trial", "status", "episode_mean", "step_mean", "final_mean", "best_episode", "worst_episode",
+    "study", "stage", "setting", "agent", "environment", "seed",
+}  # fmt: skip
+_LARGE_VIEWS = ("completed_episodes", "learning_curves")  # not kept, whoever reads them
 
 
 def connect(store: str | Path, threads: int | None = None) -> duckdb.DuckDBPyConnection:
@@ -52,26 +61,94 @@ def connect(store: str | Path, threads: int | None = None) -> duckdb.DuckDBPyCon
     `trials` has the failed ones as well: their identity, and NULL elsewhere. The connection can neither read nor write files,
     load extensions or be reconfigured. Raises UserError where there is no store, or a file of it is damaged.
     """
-    datasets = _datasets(Store.open(store))
+    relations: dict[str, ds.Dataset] = dict(_datasets(Store.open(store)))
     # A sort larger than memory spills into this directory, which DuckDB makes when needed and removes.
     spill = Path(tempfile.gettempdir()) / f"sweep-spill-{uuid.uuid4().hex}"
-    connection = duckdb.connect(
-        config={
-            "autoinstall_known_extensions": False,
-            "autoload_known_extensions": False,
-            "python_enable_replacements": False,
-            "temp_directory": str(spill),
-            **({"threads": threads} if threads else {}),
-        }
-    )
-    connection.execute("SET TimeZone = 'UTC'")
-    for name, dataset in datasets.items():
-        connection.register(name, dataset)
-    for name, select in view_sources().items():
-        connection.execute(f"CREATE VIEW {name} AS {select}")
+    config = {
+        "autoinstall_known_extensions": False,
+        "autoload_known_extensions": False,
+        "python_enable_replacements": False,
+        "temp_directory": str(spill),
+        **({"threads": threads} if threads else {}),
+    }
+    connection = _opened(config, relations)
+    sources = view_sources()
+    kept = set().union(*(_relations(select) for select in sources.values())) - {*_LARGE_VIEWS}
+    for name, select in sources.items():
+        if name in kept:
+            read = {known: relations[known] for known in _relations(select) if known in relations}
+            columns = connection.sql(select).limit(0).to_arrow_table().schema
+            relations[name] = _View(columns, config, select, read)
+            connection.register(name, relations[name])
+        else:
+            connection.execute(f"CREATE VIEW {name} AS {select}")
     connection.execute("SET enable_external_access = false")
     connection.execute("SET lock_configuration = true")
     return connection
+
+
+def _opened(config: dict[str, Any], relations: Mapping[str, ds.Dataset]) -> duckdb.DuckDBPyConnection:
+    connection = duckdb.connect(config=config)
+    connection.execute("SET TimeZone = 'UTC'")
+    connection.execute("SET enable_progress_bar = false")  # it is written to standard output, between the rows
+    for name, dataset in relations.items():
+        connection.register(name, dataset)
+    return connection
+
+
+class _Kept(ds.FileSystemDataset):
+    """What DuckDB takes for a dataset: it asks for a scanner of some columns, which are made when they are first asked for."""
+
+    def __init__(self, columns: pa.Schema) -> None:
+        super().__init__([], columns, ds.ParquetFileFormat())
+        self._lock = threading.Lock()
+
+    def scanner(self, columns: list[str] | None = None, **how: Any) -> ds.Scanner:
+        """Return a scanner of the table; DuckDB passes names of columns, and a filter."""
+        wanted = self.schema.names if columns is None else columns
+        named = [name for name in self.schema.names if name in str(how.get("filter"))]
+        with self._lock:
+            table = self._table([*wanted, *named])
+        return ds.dataset(table).scanner(columns=wanted, **how)
+
+    def _table(self, columns: list[str]) -> pa.Table:
+        """Return a table with these columns at least."""
+        raise NotImplementedError
+
+
+class _Files(_Kept):
+    """A small table: the columns that were asked for stay in memory."""
+
+    def __init__(self, dataset: ds.Dataset) -> None:
+        super().__init__(dataset.schema)
+        self._dataset = dataset
+        self._read: dict[str, pa.ChunkedArray] = {}
+
+    def _table(self, columns: list[str]) -> pa.Table:
+        missing = [name for name in dict.fromkeys(columns) if name not in self._read]
+        if missing:
+            missing += [name for name in self.schema.names if name in _READ_TOGETHER - {*missing, *self._read}]
+            table = self._dataset.to_table(columns=missing)
+            self._read |= dict(zip(missing, table.columns, strict=True))
+        return pa.table({name: self._read[name] for name in dict.fromkeys(columns)})
+
+
+class _View(_Kept):
+    """The rows of a view, evaluated on a connection of its own: the one that asks is in the midst of a query."""
+
+    def __init__(self, columns: pa.Schema, config: dict[str, Any], select: str, read: Mapping[str, ds.Dataset]) -> None:
+        super().__init__(columns)
+        self._config, self._select, self._read = config, select, read
+        self._rows: pa.Table | None = None
+
+    def _table(self, columns: list[str]) -> pa.Table:
+        if self._rows is None:
+            connection = _opened(self._config, self._read)
+            try:
+                self._rows = connection.sql(self._select).to_arrow_table()
+            finally:
+                connection.close()
+        return self._rows
 
 
 def view_sources() -> dict[str, str]:
@@ -98,8 +175,8 @@ def _datasets(store: Store) -> dict[str, ds.Dataset]:
         except FileNotFoundError:  # compacted since it was listed
             continue
         for name in _STUDY_TABLES:
-            found[name] = _dataset(sorted(store.path.glob(f"studies/*/{name}.parquet")), name)
-        found["trials"] = _with_failed(found["trials"], store.failures())
+            found[name] = _Files(_dataset(sorted(store.path.glob(f"studies/*/{name}.parquet")), name))
+        found["trials"] = _Files(_with_failed(found["trials"], store.failures()))
         return found
 
 

@@ -99,7 +99,7 @@ def _small(shards: Sequence[Path], target_trials: int, counts: Counts) -> Iterat
     for folder in shards:
         try:
             trials = shard_files.read_table(folder / shard_files.TRIALS)
-            if not set(schema.TRIALS.names) <= set(trials.column_names):
+            if not set(schema.TRIALS.names) - schema.LATER_COLUMNS <= set(trials.column_names):
                 continue  # `sweep verify` says so
             kinds = set(zip(trials["agent"].to_pylist(), trials["environment"].to_pylist(), strict=True))
             if 2 * trials.num_rows < target_trials and len(kinds) == 1:

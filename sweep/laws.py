@@ -20,7 +20,7 @@ from sweep.shard_files import EPISODES, EVALUATIONS, STEPS, TRIALS, read_table, 
 
 _TOLERANCE = 1e-9  # of a score, in units of the largest return
 _FINAL_TENTH = 0.1
-_SCORES = ("episode_mean", "step_mean", "final_mean", "best_episode")
+_SCORES = ("episode_mean", "step_mean", "final_mean", "best_episode", "worst_episode")
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,9 @@ def breaches(folder: Path, with_steps: bool = True) -> list[Breach]:
 
 def _strangeness(found: pa.Schema, declared: pa.Schema, is_open: bool) -> str:
     """Say which columns are not as declared; nothing when all are. An open table may have others besides."""
-    strange = [field.name for field in declared if _plain(found, field.name) != _plain(declared, field.name)]
+    absent = schema.LATER_COLUMNS - {*found.names} if is_open else frozenset()
+    names = [name for name in declared.names if name not in absent]
+    strange = [name for name in names if _plain(found, name) != _plain(declared, name)]
     strange += [] if is_open else [name for name in found.names if name not in declared.names]
     return f"columns are not those of the schema: {', '.join(strange)}" if strange else ""
 
@@ -121,7 +123,7 @@ class _Runs:
         fits = np.isin(status, ("finished", "diverged")) & (diverged == ~np.isnan(_numbers(rows["diverged_at"])))
         yield TRIALS, "status and diverged_at do not go together", self._named(~fits)
         scores, scale = self._scores(diverged)
-        for name in _SCORES:
+        for name in (name for name in _SCORES if name in rows.column_names):  # stores of old lack the later ones
             given = _numbers(rows[name])
             same = (np.abs(given - scores[name]) <= _TOLERANCE * scale) | (np.isnan(given) & np.isnan(scores[name]))
             yield TRIALS, f"{name} does not follow from the episodes", self._named(~(same | (given == scores[name])))
@@ -144,7 +146,7 @@ class _Runs:
         after = until[self.stop - 1][self.owner] - until
         window = np.maximum(1, np.rint(_FINAL_TENTH * in_completed)).astype(np.int64)
         final = np.clip(window[self.owner] - after, 0, weight)
-        best = np.where(completed & np.isfinite(returns), returns, -np.inf)
+        counts = completed & np.isfinite(returns)
         with np.errstate(invalid="ignore", divide="ignore"):
             scores = {
                 "episode_mean": self._sum(value) / self._sum(completed.astype(np.int64)),
@@ -153,8 +155,10 @@ class _Runs:
             }
         for name in scores:
             scores[name] = np.where(diverged | (in_completed == 0), np.nan, scores[name])
-        highest = np.maximum.reduceat(best, self.start)
+        highest = np.maximum.reduceat(np.where(counts, returns, -np.inf), self.start)
+        lowest = np.minimum.reduceat(np.where(counts, returns, np.inf), self.start)
         scores["best_episode"] = np.where(np.isneginf(highest), np.nan, highest)
+        scores["worst_episode"] = np.where(np.isposinf(lowest), np.nan, lowest)
         scale = np.maximum(1.0, np.maximum.reduceat(np.where(np.isfinite(returns), np.abs(returns), 0.0), self.start))
         return scores, scale
 

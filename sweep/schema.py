@@ -40,7 +40,8 @@ TRIALS = _table(
     ),
     ("step_mean", pa.float64(), "mean over steps in completed episodes of their episode's return; NULL as above"),
     ("final_mean", pa.float64(), "step_mean over the last tenth of those steps; NULL as above"),
-    ("best_episode", pa.float64(), "highest return of a completed episode"),
+    ("best_episode", pa.float64(), "highest return of a completed episode; NULL if none was completed"),
+    ("worst_episode", pa.float64(), "lowest return of a completed episode; NULL if none was completed"),
     ("wall_seconds", pa.float64(), "wall-clock time of the trial's population ÷ its size"),
     ("population", pa.int64(), "trials that were trained together"),
     ("device", pa.string(), "cpu or cuda"),
@@ -50,6 +51,9 @@ TRIALS = _table(
     ("versions", pa.string(), "versions of python, sweep, torch, numpy, gymnasium, mujoco (where they are installed) as JSON"),
     ("finished_at", pa.timestamp("us", tz="UTC"), "time of the commit to the store"),
 )
+
+#: Columns of `trials` that came later than the first stores: files written before lack them, and views read NULL.
+LATER_COLUMNS = frozenset({"worst_episode"})
 
 #: One row per episode.
 EPISODES = _table(

@@ -24,6 +24,7 @@ import time
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pyarrow as pa
 
@@ -32,7 +33,9 @@ from sweep.failures import Failure
 from sweep.files import UnwritableError, flush_folder, flushed, write_atomically
 from sweep.messages import UserError, suggestion
 from sweep.tables import ShardTables, identity_columns
-from sweep.trials import Trial
+
+if TYPE_CHECKING:
+    from sweep.trials import Trial
 
 _MARKER = "sweep-store.json"
 _FORMAT = 1
@@ -268,7 +271,9 @@ class Store:
         """
         study_files.write(self.path / "studies" / name, grid, members, overrides)
 
-    def record_failure(self, shard: str, trials: Sequence[Trial], reason: str, host: str, error: str, attempts: int = 1) -> None:
+    def record_failure(
+        self, shard: str, trials: Sequence["Trial"], reason: str, host: str, error: str, attempts: int = 1
+    ) -> None:
         """Write down why a shard could not be trained (`failures.REASONS`), if that can be written."""
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
         failure = Failure(tuple(identity_columns(trial) for trial in trials), reason, host, error, attempts, now)

@@ -6,7 +6,7 @@ Scores of a run (thesis section 6.1; names as in the tables): the budget-cut las
 import datetime
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import pyarrow as pa
@@ -14,7 +14,9 @@ import pyarrow.compute as pc
 
 from sweep import schema
 from sweep.provenance import Provenance
-from sweep.trials import Trial
+
+if TYPE_CHECKING:
+    from sweep.trials import Trial
 
 _BUDGET = schema.ENDINGS.index("budget")
 FINAL_SHARE = 0.1
@@ -89,7 +91,7 @@ class ShardTables:
 
 
 def shard_tables(
-    trials: Sequence[Trial], records: EpisodeColumns, wall_seconds: float | Sequence[float], provenance: Provenance
+    trials: Sequence["Trial"], records: EpisodeColumns, wall_seconds: float | Sequence[float], provenance: Provenance
 ) -> ShardTables:
     """Return the tables of trials that were trained together, agent p of the records being trial p.
 
@@ -140,7 +142,7 @@ def _evaluations_table(ids: list[str], evaluations: Any) -> pa.Table | None:
     return pa.table({"trial": trial, **columns, "ending": ending}, schema.EVALUATIONS)
 
 
-def identity_columns(trial: Trial) -> dict[str, Any]:
+def identity_columns(trial: "Trial") -> dict[str, Any]:
     """Return the columns of `trials` that are known before a trial is trained."""
     return {
         "trial": trial.id,
@@ -159,8 +161,8 @@ def run_scores(records: EpisodeColumns, agent: int) -> dict[str, Any]:
     """Return status, counts and scores of one run; a score without completed episodes, or of a diverged run, is None.
 
     episode_mean: unweighted mean over completed episodes. step_mean: mean over the steps in completed episodes of their
-    episode's return. final_mean: the same over the last tenth (FINAL_SHARE) of those steps. best_episode: the highest
-    return of a completed episode, which a run that diverged later may have too.
+    episode's return. final_mean: the same over the last tenth (FINAL_SHARE) of those steps. best_episode and
+    worst_episode: the highest and the lowest return of a completed episode, which a run that diverged later may have too.
     """
     first, last = np.searchsorted(records.agent, [agent, agent + 1])
     completed = records.ending[first:last] != _BUDGET
@@ -185,10 +187,11 @@ def run_scores(records: EpisodeColumns, agent: int) -> dict[str, Any]:
         "diverged_at": diverged_at,
         **scores,
         "best_episode": float(finite.max()) if len(finite) else None,
+        "worst_episode": float(finite.min()) if len(finite) else None,
     }
 
 
-def members_table(study: str, stages: Mapping[str, Sequence[Trial]]) -> pa.Table:
+def members_table(study: str, stages: Mapping[str, Sequence["Trial"]]) -> pa.Table:
     """Return the trials that a study needs, stage by stage (`schema.STAGES`), with the hyperparameters of all agents as columns.
 
     A trial that two stages need has two rows. A hyperparameter that is of different types in different agents becomes a text.

@@ -1,9 +1,26 @@
--- One row per (environment, cutoff).
--- The lowest return of one completed episode, over every trial in the store with that cutoff: the score of a diverged trial
--- (rule "worst").
+-- One row per (study, environment).
+-- The lowest return of one completed episode, over the study's tuning trials: the score of a diverged trial (rule "worst").
+-- Trials of stores that do not know their worst episode yet are looked up in `episodes`.
+WITH tuning AS (
+    SELECT members.study, members.environment, members.trial, trials.worst_episode, trials.best_episode
+    FROM members
+    INNER JOIN trials ON trials.trial = members.trial
+    WHERE members.stage = 'tune'
+),
+looked_up AS (
+    SELECT unknown.trial, MIN(CAST(episodes.episodic_return AS DOUBLE)) AS worst_episode
+    FROM episodes
+    INNER JOIN (
+        SELECT DISTINCT trial FROM tuning WHERE worst_episode IS NULL AND best_episode IS NOT NULL
+    ) AS unknown ON unknown.trial = episodes.trial
+    WHERE episodes.ending IN ('terminated', 'truncated') AND ISFINITE(episodes.episodic_return)
+    GROUP BY unknown.trial
+)
 SELECT
-    environment,
-    cutoff,
-    MIN(episodic_return) AS worst_return
-FROM completed_episodes
-GROUP BY environment, cutoff
+    tuning.study,
+    tuning.environment,
+    MIN(COALESCE(tuning.worst_episode, looked_up.worst_episode)) AS worst_return
+FROM tuning
+LEFT JOIN looked_up ON looked_up.trial = tuning.trial
+GROUP BY tuning.study, tuning.environment
+HAVING worst_return IS NOT NULL

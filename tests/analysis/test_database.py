@@ -171,6 +171,31 @@ def test_a_connection_keeps_to_the_shards_that_were_there_when_it_was_opened(tmp
     assert connect(tmp_path).execute("SELECT count(*) FROM trials").fetchone() == (2,)
 
 
+def test_what_was_read_once_stays_as_it_was_and_a_filter_finds_its_rows(tmp_path):
+    store = SyntheticStore(tmp_path)
+    for seed in range(3):
+        store.finish(store.plan("demo", "SAC", "Pendulum-CA", seed, critic_step_size=10.0**-seed), [-1.0 - seed])
+    connection = connect(store.write_studies())
+    query = "SELECT seed FROM trials WHERE critic_step_size < 0.5 AND episode_mean < -2.5"
+    assert connection.execute(query).fetchall() == [(2,)]
+    assert connection.execute("SELECT trial, seed FROM run_scores WHERE score = -2").fetchall()[0][1] == 1
+    before = [connection.execute(f"FROM {view} ORDER BY ALL").fetchall() for view in ("study_trials", "setting_scores")]
+    for file in tmp_path.glob("shards/*/trials.parquet"):
+        file.write_bytes(b"")
+    assert connection.execute(query).fetchall() == [(2,)]
+    assert [connection.execute(f"FROM {view} ORDER BY ALL").fetchall() for view in ("study_trials", "setting_scores")] == before
+    with pytest.raises(duckdb.Error, match="registered as 'trials' failed"):
+        connection.execute("SELECT host FROM trials").fetchall()
+
+
+def test_all_columns_of_a_table_are_in_their_places_whatever_was_asked_for_before(small_store):
+    fresh, used = connect(small_store), connect(small_store)
+    for columns in ("status, agent", "seed", "trial"):
+        used.execute(f"SELECT {columns} FROM trials WHERE episode_mean > 0").fetchall()
+    whole = "FROM trials ORDER BY trial"
+    assert used.sql(whole).to_arrow_table() == fresh.sql(whole).to_arrow_table()
+
+
 def test_the_number_of_threads_is_as_asked(small_store):
     assert connect(small_store, threads=1).execute("SELECT current_setting('threads')").fetchone() == (1,)
 

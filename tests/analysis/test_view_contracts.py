@@ -16,7 +16,8 @@ def test_the_first_line_says_what_a_row_is(name):
 
 @pytest.mark.parametrize("name", SOURCES)
 def test_a_row_is_what_the_first_line_says(name, connection):
-    grain = re.match(r"-- One row per \((.*)\)", SOURCES[name])[1]
+    names = re.match(r"-- One row per \((.*)\)", SOURCES[name])[1].split(", ")
+    grain = ", ".join(f'"{column}"' for column in names)
     count, distinct = connection.execute(
         f"SELECT (SELECT count(*) FROM {name}), (SELECT count(*) FROM (SELECT DISTINCT {grain} FROM {name}))"
     ).fetchone()

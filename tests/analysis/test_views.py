@@ -76,7 +76,7 @@ def test_the_best_return_is_of_a_completed_episode_and_ties_go_to_the_lowest_tri
 
 
 def test_the_worst_return_leaves_out_budget_cut_and_diverged_episodes(connection):
-    assert rows(connection, "FROM worst_returns") == [("Pendulum-CA", 500, -100.0)]
+    assert rows(connection, "FROM worst_returns") == [("demo", "Pendulum-CA", -100.0)]
 
 
 def test_progress_counts_each_planned_trial_once(connection):

@@ -1,6 +1,7 @@
 """A small store written straight from `sweep.schema`, with numbers that a test chooses."""
 
 import hashlib
+import itertools
 import json
 import math
 from collections.abc import Sequence
@@ -14,6 +15,7 @@ import pyarrow.parquet as pq
 
 from agents.registry import ALGORITHMS
 from sweep import schema
+from sweep.trials import Trial
 
 STEPS, CUTOFF = 1_000, 500
 _WRITING = {"compression": "zstd", "write_page_checksum": True, "store_schema": False}
@@ -53,55 +55,54 @@ class SyntheticStore:
         self.members.setdefault(study, []).append({"study": study, "stage": stage, **member})
         return member
 
-    def finish(self, member: dict[str, Any], returns: Sequence[float], endings: Sequence[str] = (), **columns: Any) -> None:
-        """Write a shard with this one trial, episodes of equal length (all truncated unless told) and their steps."""
-        endings = endings or ["truncated"] * len(returns)
-        completed = [r for r, ending in zip(returns, endings, strict=True) if ending != "budget"]
-        diverged = any(math.isnan(r) for r in returns)
-        mean = None if diverged or not completed else math.fsum(completed) / len(completed)
-        hypers = member["hypers"]
-        trial = {
-            **dict.fromkeys(schema.TRIALS.names),
-            **{name: value for name, value in member.items() if name != "hypers"},
-            **hypers,
-            "cutoff": CUTOFF,
-            "discount": 0.99,
-            "episodes": len(returns),
-            "status": "diverged" if diverged else "finished",
-            "episode_mean": mean,
-            "step_mean": mean,
-            "final_mean": mean,
-            "wall_seconds": 1.0,
-            "population": 1,
-            "finished_at": datetime(2026, 1, 1, tzinfo=UTC),
-            **columns,
-        }
-        length = STEPS // max(1, len(returns))
-        episodes = [
-            {
-                "trial": member["trial"],
-                "episode": index,
-                "first_step": index * length + 1,
-                "length": length,
-                "episodic_return": value,
-                "ending": ending,
-            }
-            for index, (value, ending) in enumerate(zip(returns, endings, strict=True))
-        ]
+    def plan_trial(self, study: str, trial: Trial, stage: str = "tune") -> dict[str, Any]:
+        """Note that a study needs a trial of a grid, and return its identity."""
+        hypers = {name: list(value) if isinstance(value, tuple) else value for name, value in trial.applicable_hypers.items()}
+        columns = {name: getattr(trial, name) for name in ("setting", "agent", "environment", "seed")}
+        member = {"trial": trial.id, **columns, "steps": STEPS, "hypers": hypers}
+        self.members.setdefault(study, []).append({"study": study, "stage": stage, **member})
+        return member
+
+    def finish(
+        self,
+        member: dict[str, Any],
+        returns: Sequence[float],
+        endings: Sequence[str] = (),
+        lengths: Sequence[int] = (),
+        evaluations: Sequence[tuple[int, float]] = (),
+        **columns: Any,
+    ) -> None:
+        """Write a shard with this one trial, its episodes (of equal length and all truncated unless told) and their steps.
+
+        `evaluations`: step and return of each evaluation episode.
+        """
+        self.finish_together([(member, returns, endings, lengths, evaluations, columns)])
+
+    def finish_together(self, runs: Sequence[tuple[Any, ...]]) -> None:
+        """Write a shard with trials of one algorithm; each is what `finish` takes, the last ones may be left out."""
+        trials, episodes, evaluations = [], [], []
+        for member, returns, *more in runs:
+            endings, lengths, evaluated, columns = (*more, *((), (), (), {})[len(more) :])
+            trials.append(_trial_row(member, returns, endings, columns))
+            episodes += _episode_rows(member, returns, endings, lengths)
+            evaluations += _evaluation_rows(member, evaluated)
+        folder = self.path / "shards" / f"shard-{self.shards:04d}"
+        self.shards += 1
+        folder.mkdir(parents=True)
+        hypers = {name: value for member, *_ in runs for name, value in member["hypers"].items()}
+        _write(trials, schema.with_hypers(schema.TRIALS, hypers), folder / "trials.parquet")
+        _write(episodes, schema.EPISODES, folder / "episodes.parquet")
+        if evaluations:
+            _write(evaluations, schema.EVALUATIONS, folder / "evaluations.parquet")
         steps = [
             {
-                "trial": member["trial"],
+                "trial": episode["trial"],
                 "step": episode["first_step"] + offset,
                 "episodic_return": episode["episodic_return"],
             }
             for episode in episodes
-            for offset in range(length)
+            for offset in range(episode["length"])
         ]
-        folder = self.path / "shards" / f"shard-{self.shards:04d}"
-        self.shards += 1
-        folder.mkdir(parents=True)
-        _write([trial], schema.with_hypers(schema.TRIALS, hypers), folder / "trials.parquet")
-        _write(episodes, schema.EPISODES, folder / "episodes.parquet")
         _write(steps, schema.STEPS, folder / "steps.parquet")
 
     def write_studies(self) -> Path:
@@ -126,7 +127,7 @@ def build(path: Path) -> Path:
     a = plan("GreedyAC", "Pendulum-CA", "a", 1e-3, 0.1)  # 20, 30, 40
     store.finish(a[0], [10, 30, 999], ["truncated", "terminated", "budget"])
     store.finish(a[1], [40, 20, -999], ["truncated", "truncated", "budget"])
-    store.finish(a[2], [50, 30])
+    store.finish(a[2], [50, 30], evaluations=[(500, 40), (500, 50), (1000, 60)])
     b = plan("GreedyAC", "Pendulum-CA", "b", 1e-3, 0.1, kappa=0.1)  # 20, X, -
     store.finish(b[0], [5, 35])
     store.finish(b[1], [-100, math.nan])
@@ -145,9 +146,67 @@ def build(path: Path) -> Path:
     store.finish(g[2], [60])
     h = plan("SAC", "MountainCar-CA", "8", 1e-3, 0.1)  # X with nothing completed, -, -
     store.finish(h[0], [math.nan])
-    evaluated = store.plan("demo", "GreedyAC", "Pendulum-CA", 3, "evaluate", critic_step_size=1e-3, entropy_scale=0.1)
+    chosen = {"critic_step_size": 1e-3, "entropy_scale": 0.1, "actor_step_size_scale": 1.0, "setting": "a" * 16}
+    evaluated = store.plan("demo", "GreedyAC", "Pendulum-CA", 3, "evaluate", **chosen)
     store.finish(evaluated, [60])
     return store.write_studies()
+
+
+def _trial_row(
+    member: dict[str, Any], returns: Sequence[float], endings: Sequence[str], columns: dict[str, Any]
+) -> dict[str, Any]:
+    endings = endings or ["truncated"] * len(returns)
+    completed = [r for r, ending in zip(returns, endings, strict=True) if ending != "budget"]
+    diverged = any(math.isnan(r) for r in returns)
+    mean = None if diverged or not completed else math.fsum(completed) / len(completed)
+    finite = [r for r in completed if math.isfinite(r)]
+    return {
+        **dict.fromkeys(schema.TRIALS.names),
+        **{name: value for name, value in member.items() if name != "hypers"},
+        **member["hypers"],
+        "cutoff": CUTOFF,
+        "discount": 0.99,
+        "episodes": len(returns),
+        "status": "diverged" if diverged else "finished",
+        "episode_mean": mean,
+        "step_mean": mean,
+        "final_mean": mean,
+        "best_episode": max(finite, default=None),
+        "worst_episode": min(finite, default=None),
+        "wall_seconds": 1.0,
+        "population": 1,
+        "finished_at": datetime(2026, 1, 1, tzinfo=UTC),
+        **columns,
+    }
+
+
+def _episode_rows(
+    member: dict[str, Any], returns: Sequence[float], endings: Sequence[str], lengths: Sequence[int]
+) -> list[dict[str, Any]]:
+    endings = endings or ["truncated"] * len(returns)
+    lengths = lengths or [STEPS // max(1, len(returns))] * len(returns)
+    first_steps = itertools.accumulate(lengths, initial=1)
+    return [
+        {
+            "trial": member["trial"],
+            "episode": index,
+            "first_step": first_step,
+            "length": length,
+            "episodic_return": value,
+            "ending": ending,
+        }
+        for index, (first_step, length, value, ending) in enumerate(zip(first_steps, lengths, returns, endings, strict=False))
+    ]
+
+
+def _evaluation_rows(member: dict[str, Any], evaluations: Sequence[tuple[int, float]]) -> list[dict[str, Any]]:
+    counts: dict[int, int] = {}
+    rows = []
+    for step, value in evaluations:
+        counts[step] = counts.get(step, -1) + 1
+        row = {"trial": member["trial"], "step": step, "episode": counts[step], "length": CUTOFF}
+        rows.append({**row, "episodic_return": value, "ending": "truncated"})
+    return rows
 
 
 def _write(rows: list[dict[str, Any]], columns: pa.Schema, file: Path) -> None:

@@ -254,7 +254,7 @@ def test_the_worst_return_is_of_completed_episodes_of_the_trials_asked_for_where
     join_shards(store)
     scores, worst = gather_scores(store, [Named(member) for member in (first, second, other)], "episode_mean")
     assert worst == {"Acrobot-CA": -400}
-    assert scores[second["trial"]] == TrialScores("diverged", None, None)
+    assert scores[second["trial"]] == TrialScores("diverged", None, -400.0)
     assert len(scores) == 3
 
 

@@ -34,7 +34,7 @@ def test_the_episode_mean_is_unweighted_and_the_step_mean_is_weighted_by_length(
     scores = run_scores(records([(10, 1, TERMINATED), (30, 5, TRUNCATED)]), 0)
     assert scores["episode_mean"] == 3
     assert scores["step_mean"] == (10 * 1 + 30 * 5) / 40
-    assert (scores["episodes"], scores["status"], scores["best_episode"]) == (2, "finished", 5)
+    assert (scores["episodes"], scores["status"], scores["best_episode"], scores["worst_episode"]) == (2, "finished", 5, 1)
 
 
 def test_the_final_mean_covers_the_last_tenth_of_the_steps():
@@ -43,20 +43,29 @@ def test_the_final_mean_covers_the_last_tenth_of_the_steps():
 
 
 def test_the_budget_cut_last_episode_enters_no_score():
-    scores = run_scores(records([(50, -50, TRUNCATED), (50, -50, TRUNCATED), (3, -3, BUDGET)]), 0)
+    scores = run_scores(records([(50, -50, TRUNCATED), (50, -50, TRUNCATED), (3, -300, BUDGET)]), 0)
     assert scores["episode_mean"] == scores["step_mean"] == scores["final_mean"] == scores["best_episode"] == -50
+    assert scores["worst_episode"] == -50
     assert scores["episodes"] == 3
 
 
 def test_a_run_without_a_completed_episode_has_no_score():
     scores = run_scores(records([(7, -7, BUDGET)]), 0)
-    assert scores["episode_mean"] is scores["step_mean"] is scores["final_mean"] is scores["best_episode"] is None
+    assert (
+        scores["episode_mean"]
+        is scores["step_mean"]
+        is scores["final_mean"]
+        is scores["best_episode"]
+        is scores["worst_episode"]
+        is None
+    )
     assert scores["status"] == "finished"
 
 
-def test_a_diverged_run_is_marked_and_keeps_its_best_episode_only():
+def test_a_diverged_run_is_marked_and_keeps_its_best_and_worst_episode_only():
     scores = run_scores(records([(5, 2, TERMINATED), (5, np.nan, TERMINATED)], diverged_at=[7]), 0)
-    assert (scores["status"], scores["diverged_at"], scores["best_episode"]) == ("diverged", 7, 2)
+    assert (scores["status"], scores["diverged_at"]) == ("diverged", 7)
+    assert (scores["best_episode"], scores["worst_episode"]) == (2, 2)
     assert scores["episode_mean"] is scores["step_mean"] is scores["final_mean"] is None
 
 

@@ -95,6 +95,8 @@ def test_a_store_as_it_was_written_is_well(store, tmp_path):
         ("trials", with_value("step_mean", 0, None), "step_mean does not follow from the episodes", [0]),
         ("trials", with_value("final_mean", 2, 0.25), "final_mean does not follow from the episodes", [2]),
         ("trials", with_value("best_episode", 2, 9.0), "best_episode does not follow from the episodes", [2]),
+        ("trials", with_value("worst_episode", 2, -9e9), "worst_episode does not follow from the episodes", [2]),
+        ("trials", with_value("worst_episode", 1, None), "worst_episode does not follow from the episodes", [1]),
         ("trials", without_row(1), "has episodes of trials that are not in the table trials", [1]),
         ("trials", lambda table: pa.concat_tables([table, table.slice(0, 1)]), "trials are there more than once", [0, 1, 2, 0]),
         ("trials", lambda table: table.drop_columns(["seed"]), "columns are not those of the schema: seed", [0, 1, 2]),
@@ -124,6 +126,13 @@ def test_rows_that_break_a_law_are_found_though_their_checksum_is_right(store, t
     evaluated = [trial(seed, evaluation=(500, 2)).id if isinstance(seed, int) else seed for seed in seeds]
     assert [(one.shard, sorted(one.trials)) for one in problems] == [("a", sorted(evaluated))]
     assert verify(store).trials >= 3  # the other shard is checked all the same
+
+
+def test_a_shard_from_before_there_was_a_worst_episode_is_well(store, tmp_path):
+    rewrite(tmp_path / "shards" / "a" / "trials.parquet", lambda table: table.drop_columns(["worst_episode"]))
+    assert verify(store).problems == ()
+    rewrite(tmp_path / "shards" / "a" / "trials.parquet", with_value("best_episode", 0, 7e9))
+    assert [problem.what for problem in verify(store).problems] == ["best_episode does not follow from the episodes"]
 
 
 def test_quick_leaves_out_the_comparison_of_steps_and_nothing_else(store, tmp_path):
