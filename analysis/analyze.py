@@ -1,69 +1,181 @@
-"""`sweep analyze`: draw a figure of the catalogue from a store and save it."""
+"""`sweep analyze`: draw figures and build tables of a study from a store, and save them."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import duckdb
+import pandas as pd
 
 from analysis.database import connect
-from analysis.figures.catalogue import Entry, find, list_figures
+from analysis.figures import catalogue as figures
+from analysis.figures.options import NoDataError, Options
 from analysis.query import short_message
+from analysis.tables import catalogue as tables
 from sweep.messages import UserError, suggestion
 
-__all__ = ["FORMATS", "Result", "analyze", "list_figures"]
+__all__ = [
+    "FIGURE_FORMATS",
+    "TABLE_FORMATS",
+    "Result",
+    "analyze",
+    "everything",
+    "find",
+    "list_figures",
+    "list_tables",
+    "needs_store",
+]
 
-FORMATS = ("png", "svg", "pdf", "csv")
+FIGURE_FORMATS = ("png", "svg", "pdf", "csv", "sql")
+TABLE_FORMATS = ("csv", "json", "markdown", "parquet", "sql")
+_SUFFIXES = {"markdown": "md"}
+
+list_figures, list_tables = figures.list_figures, tables.list_tables
+
+Demonstrations = Callable[[str, int], list[dict[str, Any]]]
+"""Name of a demonstration and seed → its rows."""
+Entry = figures.Entry | tables.Entry
 
 
 @dataclass(frozen=True)
 class Result:
-    """The files written, and what to tell the user about them."""
+    """What became of one figure or table: its study (None for a demonstration), the files written, what the user should know.
 
-    study: str
-    files: list[Path]
-    notes: list[str]
-
-
-def analyze(store: Path, figure: str, study: str | None, out: Path, formats: Sequence[str] = ("png",)) -> Result:
-    """Draw `figure` (a number such as "7.1") of `study` and write `out`/figure-7.1.png and the other formats.
-
-    Without a study: the figure's own if it has data here, else the only one that has; UserError if
-    that leaves a choice.
+    `text`: a table as text; empty for a figure. `missing`: why there is nothing, when everything was asked for.
     """
-    entry = find(figure)
-    for format in formats:
-        if format not in FORMATS:
-            raise UserError(f'unknown format "{format}": {suggestion(format, FORMATS)}')
-    connection = connect(store)
+
+    name: str
+    study: str | None
+    files: list[Path] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    text: str = ""
+    missing: str = ""
+
+
+def everything() -> list[Entry]:
+    """Return every figure and table of the thesis and every kind that shows something of its own, each once."""
+    thesis: list[Entry] = [*figures.THESIS, *tables.THESIS]
+    return [*thesis, *figures.KINDS, *tables.KINDS]
+
+
+def find(figure_names: Sequence[str], table_names: Sequence[str]) -> list[Entry]:
+    """Return the figures and tables of these names, each once. Raises UserError with the known names."""
+    return [*map(figures.find, dict.fromkeys(figure_names)), *map(tables.find, dict.fromkeys(table_names))]
+
+
+def needs_store(entry: Entry) -> bool:
+    """Return whether the figure or table is made from a store."""
+    return _demonstration(entry) is None
+
+
+def analyze(
+    store: Path | None,
+    entries: Sequence[Entry],
+    study: str | None,
+    out: Path,
+    formats: Sequence[str] = (),
+    options: Options | None = None,
+    demonstrations: Demonstrations | None = None,
+    skip_missing: bool = False,
+) -> list[Result]:
+    """Draw and build `entries` of `study` and write `out`/figure-7.1.png, `out`/table-A.2.csv and so on.
+
+    Without formats: png for figures, csv for tables. Without a study: the entry's own if it has data here, else the only one that
+    has; UserError if that leaves a choice. With `skip_missing`, what a study has no data for is left out and says why; otherwise
+    that is a UserError as well. `store` may be None when all entries are demonstrations.
+    """
+    wanted = {id(entry): _formats(entry, formats) for entry in entries}
+    asked = options or Options()
+    for entry in entries:
+        asked.check(entry.load().TAKES, _label(entry))
+    connection = connect(store) if store is not None and any(map(needs_store, entries)) else None
+    results = []
     try:
-        chosen = _choose(connection, entry, study)
-        drawing = entry.load().draw(connection, chosen, entry.title)
-    except duckdb.Error as error:
-        raise UserError(f"{store}: {short_message(error)}") from None
+        for entry in entries:
+            try:
+                results.append(_one(connection, entry, study, asked, out, wanted[id(entry)], demonstrations))
+            except NoDataError as error:
+                if not skip_missing:
+                    raise
+                results.append(Result(_label(entry), study, missing=str(error)))
+            except duckdb.Error as error:
+                raise UserError(f"{store}: {short_message(error)}") from None
     finally:
-        connection.close()
-    files = [out / f"figure-{entry.number}.{format}" for format in dict.fromkeys(formats)]
+        if connection is not None:
+            connection.close()
+    return results
+
+
+def _one(
+    connection: duckdb.DuckDBPyConnection | None,
+    entry: Entry,
+    study: str | None,
+    asked: Options,
+    out: Path,
+    formats: Sequence[str],
+    demonstrations: Demonstrations | None,
+) -> Result:
+    module = entry.load()
+    options = entry.options.but(
+        title=entry.title, **{name: getattr(asked, name) for name in module.TAKES}, seed=asked.seed or None
+    )
+    demonstration = _demonstration(entry)
+    if demonstration:
+        assert demonstrations is not None
+        made, chosen = module.draw(pd.DataFrame(demonstrations(demonstration, options.seed)), options.title), None
+    else:
+        assert connection is not None
+        chosen = _choose(connection, entry, study, options)
+        made = (
+            module.draw(connection, chosen, options)
+            if isinstance(entry, figures.Entry)
+            else module.build(connection, chosen, options)
+        )
+    kind = "figure" if isinstance(entry, figures.Entry) else "table"
+    files = [out / f"{kind}-{entry.name}.{_SUFFIXES.get(format, format)}" for format in formats]
     try:
         out.mkdir(parents=True, exist_ok=True)
-        for file in files:
-            drawing.save(file, file.suffix.removeprefix("."))
+        for file, format in zip(files, formats, strict=True):
+            made.save(file, format)
     except OSError as error:
-        raise UserError(f"{out}: the figure cannot be written there: {error.strerror}") from None
-    return Result(chosen, files, drawing.notes)
+        raise UserError(f"{out}: the {kind} cannot be written there: {error.strerror}") from None
+    return Result(_label(entry), chosen, files, made.notes, made.text() if kind == "table" else "")
 
 
-def _choose(connection: duckdb.DuckDBPyConnection, entry: Entry, study: str | None) -> str:
+def _demonstration(entry: Entry) -> str | None:
+    return entry.demonstration if isinstance(entry, figures.Entry) else None
+
+
+def _label(entry: Entry) -> str:
+    return f"{'figure' if isinstance(entry, figures.Entry) else 'table'} {entry.name}"
+
+
+def _formats(entry: Entry, formats: Sequence[str]) -> list[str]:
+    """Return the formats that apply to the entry, its customary one if none does. Raises UserError for an unknown one."""
+    known = FIGURE_FORMATS if isinstance(entry, figures.Entry) else TABLE_FORMATS
+    every = sorted({*FIGURE_FORMATS, *TABLE_FORMATS})
+    for format in formats:
+        if format not in every:
+            raise UserError(f'unknown format "{format}": {suggestion(format, every)}')
+    wanted = [format for format in dict.fromkeys(formats) if format in known and not (format == "sql" and _demonstration(entry))]
+    return wanted or [known[0]]
+
+
+def _choose(connection: duckdb.DuckDBPyConnection, entry: Entry, study: str | None, options: Options) -> str:
     known = [row[0] for row in connection.execute("SELECT DISTINCT study FROM members ORDER BY study").fetchall()]
+    label = _label(entry)
     if not known:
-        raise UserError(f"figure {entry.number}: the store has no study yet")
+        raise NoDataError(f"{label}: the store has no study yet")
     if study is not None:
         if study not in known:
             raise UserError(f'unknown study "{study}": {suggestion(study, known)}')
         return study
-    candidates = entry.load().studies(connection)
+    candidates = entry.load().studies(connection, options)
     if not candidates:
-        raise UserError(f"figure {entry.number}: no study has data for it yet. Known: {', '.join(known)}")
-    if entry.study not in candidates and len(candidates) > 1:
-        raise UserError(f"figure {entry.number}: several studies have data for it; choose with --study: {', '.join(candidates)}")
-    return entry.study if entry.study in candidates else candidates[0]
+        raise NoDataError(f"{label}: no study has data for it yet. Known: {', '.join(known)}")
+    if entry.study is not None and entry.study in candidates:
+        return entry.study
+    if len(candidates) > 1:
+        raise NoDataError(f"{label}: several studies have data for it; choose with --study: {', '.join(candidates)}")
+    return candidates[0]

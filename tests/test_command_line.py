@@ -168,6 +168,53 @@ def test_figure_7_1_is_drawn(finished):
     assert "critic_step_size" in (finished / "figures" / "figure-7.1.csv").read_text()
 
 
+def test_several_figures_and_tables_are_made_at_once_and_each_says_its_name(finished):
+    ran = sweep(
+        *("analyze", "--figure", "learning-curve", "--figure", "2.1", "--table", "tuned-settings", "--out", "several"),
+        *("--format", "svg,csv,sql", "--agent", "SAC", "--band", "none"),
+        cwd=finished,
+    )
+    assert (ran.returncode, "takes no --agent" in ran.stderr) == (1, True)
+    arguments = ("--figure", "learning-curve", "--figure", "2.1", "--table", "tuned-settings", "--format", "svg,csv,sql")
+    ran = sweep("analyze", *arguments, "--out", "several", cwd=finished)
+    assert ran.returncode == 0, ran.stderr
+    assert {file.name for file in (finished / "several").iterdir()} == {
+        *(f"figure-learning-curve.{suffix}" for suffix in ("svg", "csv", "sql")),
+        *(f"figure-2.1.{suffix}" for suffix in ("svg", "csv")),
+        *(f"table-tuned-settings.{suffix}" for suffix in ("csv", "sql")),
+    }
+    lines = ran.stdout.splitlines()
+    assert [line for line in lines if line.startswith(("figure ", "table "))] == [
+        "figure learning-curve of study tiny",
+        "figure 2.1",
+        "table tuned-settings of study tiny",
+    ]
+    assert sum(line.startswith("wrote several/") for line in lines) == 7
+
+
+def test_all_leaves_out_what_there_is_no_data_for_and_list_names_everything(finished):
+    ran = sweep("analyze", "--all", "--out", "all", "--format", "csv", cwd=finished)
+    assert ran.returncode == 0, ran.stderr
+    assert "figure 3.1: left out: " in ran.stdout
+    assert {"figure-learning-curve.csv", "table-best-returns.csv"} <= {file.name for file in (finished / "all").iterdir()}
+    listed = sweep("analyze", "--list", cwd=finished).stdout.splitlines()
+    assert (listed[0], listed[listed.index("") + 1]) == ("figures", "tables")
+    assert {line.split()[0] for line in listed if line} >= {
+        "2.1",
+        "7.2",
+        "A.4",
+        "learning-curve",
+        "seed-spread",
+        "tuned-settings",
+    }
+
+
+def test_a_demonstration_needs_no_store(tmp_path):
+    ran = sweep("analyze", "--figure", "4.2", cwd=tmp_path)
+    assert ran.returncode == 0, ran.stderr
+    assert [file.name for file in tmp_path.iterdir()] == ["figure-4.2.png"]
+
+
 BAD_GRIDS = [
     (("steps = 60", "stpes = 60"), 'grid.toml: study.stpes: unknown key; did you mean "steps"?'),
     (("[0.01, 0.001]", "[0.01, -0.001]"), "grid.toml: sweep.critic_step_size: value -0.001 must be greater than 0"),
@@ -231,6 +278,13 @@ def test_sql_that_cannot_be_answered_is_a_message_and_exit_code_1(finished, quer
         (["analyze"], "say which figure"),
         (["analyze", "--figure", "9.9"], "9.9"),
         (["analyze", "--figure", "7.1", "--format", "bmp"], "bmp"),
+        (["analyze", "--figure", "learning-curves"], 'did you mean "learning-curve"'),
+        (["analyze", "--table", "A.9"], 'unknown table "A.9"'),
+        (["analyze", "--figure", "learning-curve", "--study", "tinny"], 'did you mean "tiny"'),
+        (["analyze", "--figure", "learning-curve", "--score", "final_mean"], "takes no --score; it takes: --by"),
+        (["analyze", "--figure", "learning-curve", "--band", "sd"], 'unknown band "sd"'),
+        (["analyze", "--figure", "learning-curve", "--over", "polyac"], 'did you mean "polyak"'),
+        (["analyze", "--figure", "3.1"], "no study has data for it yet"),
     ],
 )
 def test_bad_usage_is_exit_code_1(finished, arguments, message):

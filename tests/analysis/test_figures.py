@@ -1,7 +1,8 @@
-"""Figures: what is drawn equals the views, and what is missing is said."""
+"""Sensitivity regions: what is drawn equals the views, and what is missing is said."""
 
 import itertools
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib.colors
@@ -12,9 +13,10 @@ from matplotlib.axes import Axes
 from synthetic_store import SyntheticStore, build
 
 from analysis import connect
-from analysis.analyze import analyze
-from analysis.figures import catalogue, sensitivity_region
+from analysis.analyze import Result, analyze, find
+from analysis.figures import sensitivity_region
 from analysis.figures.drawing import Drawing
+from analysis.figures.options import Options
 from sweep.messages import UserError
 
 STEP_SIZES, SCALES = [1e-4, 1e-3, 1e-2], [0.1, 1.0]
@@ -30,22 +32,24 @@ def full_study(path: Path, environments: list[str], step_sizes: list[float], stu
 
 
 def drawn(store: Path, study: str = "demo") -> Drawing:
-    return sensitivity_region.draw(connect(store), study, "Title")
+    return sensitivity_region.draw(connect(store), study, Options(title="Title"))
+
+
+def saved(store: Path, study: str | None, out: Path, formats: Sequence[str] = ("png",)) -> Result:
+    """Figure 7.1, written to a folder."""
+    (result,) = analyze(store, find(["7.1"], []), study, out, formats)
+    return result
 
 
 def panels(drawing: Drawing) -> list[Axes]:
     return drawing.figure.axes
 
 
-def texts(drawing: Drawing) -> str:
-    return "\n".join(text.get_text() for text in drawing.figure.findobj(lambda artist: hasattr(artist, "get_text")))
-
-
 @pytest.mark.parametrize("environments", [["Pendulum-CA"], ["Acrobot-CA", "MountainCar-CA", "Pendulum-CA"]])
 @pytest.mark.parametrize("step_sizes", [STEP_SIZES, [1e-3]])
 def test_every_shape_is_saved_without_a_warning(environments, step_sizes, tmp_path):
     store = full_study(tmp_path / "store", environments, step_sizes)
-    result = analyze(store, "7.1", None, tmp_path / "out", ["png", "svg", "pdf", "csv"])
+    result = saved(store, None, tmp_path / "out", ["png", "svg", "pdf", "csv"])
     assert [file.name for file in result.files] == [f"figure-7.1.{format}" for format in ("png", "svg", "pdf", "csv")]
     assert result.files[0].read_bytes().startswith(b"\x89PNG")
     ElementTree.parse(result.files[1])
@@ -84,8 +88,8 @@ def test_missing_cells_are_counted_hatched_and_named(tmp_path):
     assert np.isnan(greedy_pendulum.lines[1].get_ydata()[0])  # c: no seed yet
     assert [text.get_text() for text in sac_car.texts] == ["no data yet"]
     assert [text.get_text() for text in panels(drawing)[0].texts] == ["not in this study", "MountainCar-CA"]
-    assert drawing.notes == [
-        "study demo: mean over 1 to 3 seeds, 1,000 steps; best over actor_step_size_scale",
+    assert drawing.notes[0].startswith("study demo: mean over 1 to 3 tuning seeds, 1,000 steps; best over actor_step_size_scale")
+    assert [note for note in drawing.notes[1:] if "interval of the width" not in note] == [
         "GreedyAC on Pendulum-CA: best mean 50; region 49 wide on average, 49 at most",
         "GreedyAC on Pendulum-CA: 11 of 18 trials",
         "GreedyAC on Pendulum-CA: no data yet for (critic_step_size, entropy_scale) (0.001, 1)",
@@ -102,7 +106,7 @@ def test_complete_panels_say_nothing_of_trials_and_are_not_hatched(tmp_path):
     drawing = drawn(full_study(tmp_path, ["Pendulum-CA"], STEP_SIZES))
     assert {axes.get_title("right") for axes in panels(drawing)} == {""}
     assert {region.get_hatch() for axes in panels(drawing) for region in axes.collections} == {None}
-    assert "mean over 1 seed, 1,000 steps; one setting a point" in texts(drawing)
+    assert "mean over 1 tuning seed, 1,000 steps; one setting a point" in drawing.figure.get_suptitle().replace("\n", " ")
 
 
 def test_a_single_critic_step_size_has_a_region_too(tmp_path):
@@ -120,7 +124,7 @@ def test_lines_differ_in_lightness_and_marker(tmp_path):
 
 def test_the_csv_holds_the_rows_of_the_view(tmp_path):
     store = build(tmp_path / "store")
-    analyze(store, "7.1", None, tmp_path, ["csv"])
+    saved(store, None, tmp_path, ["csv"])
     expected = connect(store).execute("FROM sensitivity_lines ORDER BY agent, environment, entropy_scale, critic_step_size").df()
     written = pd.read_csv(tmp_path / "figure-7.1.csv", dtype={"setting": str})
     pd.testing.assert_frame_equal(written, expected, check_dtype=False, rtol=1e-12)
@@ -128,7 +132,7 @@ def test_the_csv_holds_the_rows_of_the_view(tmp_path):
 
 def test_the_same_data_give_the_same_bytes(tmp_path):
     store = full_study(tmp_path / "store", ["Pendulum-CA"], STEP_SIZES)
-    first, second = (analyze(store, "7.1", None, tmp_path / name, ["png", "svg", "pdf", "csv"]) for name in "ab")
+    first, second = (saved(store, None, tmp_path / name, ["png", "svg", "pdf", "csv"]) for name in "ab")
     assert [a.read_bytes() for a in first.files] == [b.read_bytes() for b in second.files]
 
 
@@ -144,8 +148,8 @@ def two_studies(path: Path, first: str, second: str) -> Path:
 def test_of_several_studies_with_data_one_must_be_named(tmp_path):
     store = two_studies(tmp_path / "store", "first", "second")
     with pytest.raises(UserError, match="choose with --study: first, second"):
-        analyze(store, "7.1", None, tmp_path)
-    assert analyze(store, "7.1", "second", tmp_path).study == "second"
+        saved(store, None, tmp_path)
+    assert saved(store, "second", tmp_path).study == "second"
 
 
 def test_studies_that_do_not_sweep_the_entropy_scale_come_second(tmp_path):
@@ -155,33 +159,19 @@ def test_studies_that_do_not_sweep_the_entropy_scale_come_second(tmp_path):
             trial = store.plan(study, "SAC", "Pendulum-CA", 0, entropy_scale=tau)
             if study == "all":
                 store.finish(trial, [1.0])
-    assert analyze(store.write_studies(), "7.1", None, tmp_path, ["csv"]).study == "all"
+    assert saved(store.write_studies(), None, tmp_path, ["csv"]).study == "all"
     del store.members["all"][1:]
     with pytest.raises(UserError, match="choose with --study: all, one"):
-        analyze(store.write_studies(), "7.1", None, tmp_path, ["csv"])
+        saved(store.write_studies(), None, tmp_path, ["csv"])
 
 
 def test_the_figures_own_study_goes_before_others(tmp_path):
-    assert analyze(two_studies(tmp_path / "store", "first", "figure-7-1"), "7.1", None, tmp_path).study == "figure-7-1"
-
-
-@pytest.mark.parametrize(
-    ("figure", "study", "formats", "message"),
-    [
-        ("7.2", None, ["png"], 'unknown figure "7.2": did you mean "7.1"'),
-        ("7.1", "dem", ["png"], 'unknown study "dem": did you mean "demo"'),
-        ("7.1", None, ["gif"], 'unknown format "gif": .*Known: csv, pdf, png, svg'),
-    ],
-)
-def test_unknown_names_are_answered_with_the_known_ones(figure, study, formats, message, small_store, tmp_path):
-    with pytest.raises(UserError, match=message):
-        analyze(small_store, figure, study, tmp_path / "out", formats)
-    assert not (tmp_path / "out").exists()
+    assert saved(two_studies(tmp_path / "store", "first", "figure-7-1"), None, tmp_path).study == "figure-7-1"
 
 
 def test_an_empty_store_has_no_figure(empty_store, tmp_path):
     with pytest.raises(UserError, match="no study yet"):
-        analyze(empty_store, "7.1", None, tmp_path)
+        saved(empty_store, None, tmp_path)
 
 
 def test_a_study_without_any_trial_yet_is_drawn_only_by_name(tmp_path):
@@ -189,13 +179,5 @@ def test_a_study_without_any_trial_yet_is_drawn_only_by_name(tmp_path):
     store.plan("demo", "SAC", "Pendulum-CA", 0)
     path = store.write_studies()
     with pytest.raises(UserError, match="no study has data for it yet"):
-        analyze(path, "7.1", None, tmp_path)
-    assert analyze(path, "7.1", "demo", tmp_path, ["png"]).notes[1:] == ["SAC on Pendulum-CA: 0 of 1 trials"]
-
-
-@pytest.mark.parametrize("number", catalogue.FIGURES)
-def test_every_figure_has_a_title_a_caption_and_a_kind(number):
-    entry = catalogue.find(number)
-    assert f"{number}  {entry.title}" in catalogue.list_figures()
-    assert len(entry.caption) > 100
-    assert callable(entry.load().studies)
+        saved(path, None, tmp_path)
+    assert saved(path, "demo", tmp_path, ["png"]).notes[1:] == ["SAC on Pendulum-CA: 0 of 1 trials"]
