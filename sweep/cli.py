@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from sweep.commands import init, launch, plan, results, retry, upkeep, watch
+from sweep.commands import init, launch, plan, reporting, results, retry, upkeep, watch
 from sweep.messages import UserError
 
 app = typer.Typer(
@@ -49,6 +49,8 @@ for command in (
     retry.run,
     results.sql,
     results.analyze,
+    reporting.report,
+    reporting.export,
     upkeep.verify,
     upkeep.compact,
     upkeep.merge,
@@ -64,7 +66,9 @@ _UsageMistake: Any = next(base for base in typer.BadParameter.__mro__ if base.__
 # Packages that a machine which only trains does without, and what to do there instead of installing them.
 _WITHOUT = {
     "ray": "train in this process: --executor in-process",
-    **dict.fromkeys(("duckdb", "pandas", "matplotlib", "seaborn"), "copy the store, a folder, to a machine that has it"),
+    **dict.fromkeys(
+        ("duckdb", "jinja2", "matplotlib", "pandas", "scipy", "seaborn"), "copy the store, a folder, to a machine that has it"
+    ),
 }
 
 
