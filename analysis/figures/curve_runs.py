@@ -14,7 +14,7 @@ import pandas as pd
 
 from analysis.figures import style
 from analysis.figures.options import REGIMES, NoDataError, Options
-from sweep.messages import UserError, suggestion
+from sweep.messages import suggestion
 
 _RUNS = """
 SELECT agent, environment, for_each, trial, stage, setting, seed, status
@@ -112,7 +112,7 @@ def regimes(connection: duckdb.DuckDBPyConnection, study: str) -> list[str]:
 def studies(connection: duckdb.DuckDBPyConnection, options: Options) -> list[str]:
     """Return the studies that have runs of chosen settings; with `over`, those that choose for each of several of its values.
 
-    Where none does, those whose settings differ in it. Raises UserError where no study has such a hyperparameter.
+    Where none does, those whose settings differ in it. Raises NoDataError where no study has such a hyperparameter.
     """
     rows = connection.execute(
         """
@@ -138,20 +138,20 @@ def studies(connection: duckdb.DuckDBPyConnection, options: Options) -> list[str
 
 
 def _known_values(connection: duckdb.DuckDBPyConnection, name: str) -> list[tuple[str, str, str, str]]:
-    """Return study, agent, environment and value, as text, of a hyperparameter. Raises UserError where nothing has it."""
+    """Return study, agent, environment and value, as text, of a hyperparameter. Raises NoDataError where nothing has it."""
     rows = connection.execute(
         "SELECT DISTINCT study, agent, environment, value FROM hyperparameters WHERE hyperparameter = ?", [name]
     ).fetchall()
     known = [] if rows else connection.execute("SELECT DISTINCT hyperparameter FROM hyperparameters").fetchall()
     if known:
-        raise UserError(f'--over: unknown hyperparameter "{name}": {suggestion(name, [row[0] for row in known])}')
+        raise NoDataError(f'--over: unknown hyperparameter "{name}": {suggestion(name, [row[0] for row in known])}')
     return rows
 
 
 def load(connection: duckdb.DuckDBPyConnection, study: str, options: Options, by: str | None = None) -> CurveRuns:
     """Return the runs of chosen settings that the options ask for.
 
-    Raises NoDataError where there are none, UserError for an unknown `over`.
+    Raises NoDataError where there are none, and for an `over` that no setting has.
     """
     known = regimes(connection, study)
     by = by or options.by or known[0]
@@ -243,7 +243,7 @@ def _column(connection: duckdb.DuckDBPyConnection, study: str, name: str) -> dic
     ).fetchall()
     known = {row[3] for row in rows}
     if name not in known:
-        raise UserError(f'--over: unknown hyperparameter "{name}": {suggestion(name, known)}')
+        raise NoDataError(f'--over: unknown hyperparameter "{name}": {suggestion(name, known)}')
     return {
         (agent, environment, setting): text if number is None else number
         for agent, environment, setting, hyper, number, text in rows

@@ -33,19 +33,22 @@ def write(
 ) -> Path:
     """Write the study "study" and return the store's path. `first_seeds`: of an environment's evaluation runs, if not 10."""
     store = SyntheticStore(path)
+    runs: dict[str, list[tuple]] = {}
     for agent in agents:
         for letter, scores in TUNING.items():
             for environment, score in scores.items():
                 for seed in range(2):
-                    store.finish(_plan(store, agent, environment, letter, seed), [score])
-    for (agent, environment, letter), runs in evaluation.items():
-        for index, score in enumerate(runs):
+                    runs.setdefault(agent, []).append((_plan(store, agent, environment, letter, seed), [score]))
+    for (agent, environment, letter), evaluated in evaluation.items():
+        for index, score in enumerate(evaluated):
             seed = index + (first_seeds or {}).get(environment, FIRST_SEED)
             member = _plan(store, agent, environment, letter, seed, "evaluate")
             if score is FAILED:
-                store.finish(member, [], status="failed")
+                runs.setdefault(agent, []).append((member, [], (), (), (), {"status": "failed"}))
             elif score is not MISSING:
-                store.finish(member, [score])
+                runs.setdefault(agent, []).append((member, [score]))
+    for together in runs.values():
+        store.finish_together(together)
     return store.write_studies()
 
 

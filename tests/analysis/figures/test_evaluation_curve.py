@@ -33,8 +33,8 @@ def three_lines(tmp_path):
     for seed, (first, second) in enumerate([(0, 10), (2, 60), (4, 20)]):
         run(store, "SAC", seed, {100: [first - 1, first + 1], 200: [second]})
     for seed in range(2):
-        run(store, "DDPG", seed, {100: [5 + seed], 200: [7 + seed]}, **GAUSSIAN)
-        run(store, "DDPG", seed, {100: [15 + seed], 200: [17 + seed]}, **OU)
+        run(store, "DDPG", seed, {100: [5 + seed], 200: [7 + seed]}, exploration_scale=0.1, **GAUSSIAN)
+        run(store, "DDPG", seed, {100: [15 + seed], 200: [17 + seed]}, exploration_scale=0.3, **OU)
     return store
 
 
