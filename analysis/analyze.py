@@ -12,12 +12,24 @@ from analysis.database import connect
 from analysis.figures import catalogue as figures
 from analysis.figures.options import NoDataError, Options
 from analysis.query import short_message
+from analysis.requests import (
+    FIGURE_FORMATS,
+    TABLE_FORMATS,
+    Entry,
+    check_folder,
+    check_names,
+    check_rule,
+    choose_formats,
+    demonstration,
+    label,
+)
 from analysis.tables import catalogue as tables
 from sweep.messages import UserError, suggestion
 
 __all__ = [
     "FIGURE_FORMATS",
     "TABLE_FORMATS",
+    "Entry",
     "Result",
     "analyze",
     "everything",
@@ -27,15 +39,12 @@ __all__ = [
     "needs_store",
 ]
 
-FIGURE_FORMATS = ("png", "svg", "pdf", "csv", "sql")
-TABLE_FORMATS = ("csv", "json", "markdown", "parquet", "sql")
 _SUFFIXES = {"markdown": "md"}
 
 list_figures, list_tables = figures.list_figures, tables.list_tables
 
 Demonstrations = Callable[[str, int], list[dict[str, Any]]]
 """Name of a demonstration and seed → its rows."""
-Entry = figures.Entry | tables.Entry
 
 
 @dataclass(frozen=True)
@@ -66,7 +75,7 @@ def find(figure_names: Sequence[str], table_names: Sequence[str]) -> list[Entry]
 
 def needs_store(entry: Entry) -> bool:
     """Return whether the figure or table is made from a store."""
-    return _demonstration(entry) is None
+    return demonstration(entry) is None
 
 
 def analyze(
@@ -85,20 +94,24 @@ def analyze(
     has; UserError if that leaves a choice. With `skip_missing`, what a study has no data for is left out and says why; otherwise
     that is a UserError as well. `store` may be None when all entries are demonstrations.
     """
-    wanted = {id(entry): _formats(entry, formats) for entry in entries}
+    wanted = choose_formats(entries, formats)
     asked = options or Options()
     for entry in entries:
-        asked.check(entry.load().TAKES, _label(entry))
+        asked.check(entry.load().TAKES, label(entry))
+        check_rule(entry, asked)
+    check_folder(out, store)
     connection = connect(store) if store is not None and any(map(needs_store, entries)) else None
     results = []
     try:
-        for entry in entries:
+        if connection is not None:
+            check_names(connection, asked)
+        for entry, chosen_formats in zip(entries, wanted, strict=True):
             try:
-                results.append(_one(connection, entry, study, asked, out, wanted[id(entry)], demonstrations))
+                results.append(_one(connection, entry, study, asked, out, chosen_formats, demonstrations))
             except NoDataError as error:
                 if not skip_missing:
                     raise
-                results.append(Result(_label(entry), study, missing=str(error)))
+                results.append(Result(label(entry), study, missing=str(error).removeprefix(f"{label(entry)}: ")))
             except duckdb.Error as error:
                 raise UserError(f"{store}: {short_message(error)}") from None
     finally:
@@ -120,10 +133,10 @@ def _one(
     options = entry.options.but(
         title=entry.title, **{name: getattr(asked, name) for name in module.TAKES}, seed=asked.seed or None
     )
-    demonstration = _demonstration(entry)
-    if demonstration:
+    shown = demonstration(entry)
+    if shown:
         assert demonstrations is not None
-        made, chosen = module.draw(pd.DataFrame(demonstrations(demonstration, options.seed)), options.title), None
+        made, chosen = module.draw(pd.DataFrame(demonstrations(shown, options.seed)), options.title), None
     else:
         assert connection is not None
         chosen = _choose(connection, entry, study, options)
@@ -140,42 +153,23 @@ def _one(
             made.save(file, format)
     except OSError as error:
         raise UserError(f"{out}: the {kind} cannot be written there: {error.strerror}") from None
-    return Result(_label(entry), chosen, files, made.notes, made.text() if kind == "table" else "")
-
-
-def _demonstration(entry: Entry) -> str | None:
-    return entry.demonstration if isinstance(entry, figures.Entry) else None
-
-
-def _label(entry: Entry) -> str:
-    return f"{'figure' if isinstance(entry, figures.Entry) else 'table'} {entry.name}"
-
-
-def _formats(entry: Entry, formats: Sequence[str]) -> list[str]:
-    """Return the formats that apply to the entry, its customary one if none does. Raises UserError for an unknown one."""
-    known = FIGURE_FORMATS if isinstance(entry, figures.Entry) else TABLE_FORMATS
-    every = sorted({*FIGURE_FORMATS, *TABLE_FORMATS})
-    for format in formats:
-        if format not in every:
-            raise UserError(f'unknown format "{format}": {suggestion(format, every)}')
-    wanted = [format for format in dict.fromkeys(formats) if format in known and not (format == "sql" and _demonstration(entry))]
-    return wanted or [known[0]]
+    return Result(label(entry), chosen, files, made.notes, made.text() if kind == "table" else "")
 
 
 def _choose(connection: duckdb.DuckDBPyConnection, entry: Entry, study: str | None, options: Options) -> str:
     known = [row[0] for row in connection.execute("SELECT DISTINCT study FROM members ORDER BY study").fetchall()]
-    label = _label(entry)
+    what = label(entry)
     if not known:
-        raise NoDataError(f"{label}: the store has no study yet")
+        raise NoDataError(f"{what}: the store has no study yet")
     if study is not None:
         if study not in known:
             raise UserError(f'unknown study "{study}": {suggestion(study, known)}')
         return study
     candidates = entry.load().studies(connection, options)
     if not candidates:
-        raise NoDataError(f"{label}: no study has data for it yet. Known: {', '.join(known)}")
+        raise NoDataError(f"{what}: no study has data for it yet. Known: {', '.join(known)}")
     if entry.study is not None and entry.study in candidates:
         return entry.study
     if len(candidates) > 1:
-        raise NoDataError(f"{label}: several studies have data for it; choose with --study: {', '.join(candidates)}")
+        raise NoDataError(f"{what}: several studies have data for it; choose with --study: {', '.join(candidates)}")
     return candidates[0]

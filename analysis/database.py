@@ -9,13 +9,16 @@ Parquet is read by pyarrow and handed to DuckDB as Arrow datasets, for three rea
 
 A connection sees the files that lay in the store when it was opened: views are evaluated when they are queried, but a
 shard committed later appears only in a new connection, so that everything read through one connection is of one state. So what
-is small is read once: the columns of `trials`, `members` and `selections` that were asked for, and the views that others read.
+is small is read once: the columns of `trials`, `members` and `selections` that were asked for, what studies' grids say of rules
+(`grid_rules`), and the views that others read.
 (DuckDB writes a view out wherever it is named: the choices of a study would be a plan with a hundred scans of the same files.)
 """
 
+import contextlib
 import re
 import tempfile
 import threading
+import tomllib
 import uuid
 from collections.abc import Mapping
 from graphlib import TopologicalSorter
@@ -29,10 +32,12 @@ import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 
 from agents.registry import ALGORITHMS
-from sweep import manifest, schema
+from sweep import manifest, schema, study_files
 from sweep.failures import Failure
+from sweep.grid_checks import SELECT_CHOICES
 from sweep.manifest import DamagedError
 from sweep.messages import UserError
+from sweep.overrides import ANY, EACH, apply
 from sweep.store import Store
 
 _HYPERS = {name: value for known in ALGORITHMS.values() for name, value in known.hypers().as_dict().items()}
@@ -47,6 +52,14 @@ _STUDY_TABLES = {
     "members": schema.with_hypers(schema.MEMBERS, _HYPERS),
     "selections": schema.with_hypers(schema.SELECTIONS, _HYPERS, after="setting"),
 }
+#: One row per study; NULL where its grid says nothing, or cannot be read. `derived`: names of what agents derive from others.
+_GRID_RULES = pa.schema(
+    [("study", pa.string())]
+    + [(name, pa.list_(pa.string()) if name == "by" else pa.string()) for name in SELECT_CHOICES]
+    + [("derived", pa.list_(pa.string()))]
+)
+#: What of a grid is read here, as `sweep.overrides` is told.
+_GRID_KEYS = {"select": {ANY: None}, "seeds": {ANY: None}, "agent": {EACH: {"derive": {ANY: None}}}}
 _OPEN_TABLES = ("trials", "members", "selections")  # files may add hyperparameters of algorithms that are not registered here
 _READ_TOGETHER = {  # what every score needs, in one pass over the files
     "trial", "status", "episode_mean", "step_mean", "final_mean", "best_episode", "worst_episode",
@@ -133,6 +146,44 @@ class _Files(_Kept):
         return pa.table({name: self._read[name] for name in dict.fromkeys(columns)})
 
 
+class _GridRules(_Kept):
+    """What the grids of studies say of their rules. Nothing is checked: a grid was, when it came into the store."""
+
+    def __init__(self, folders: list[Path]) -> None:
+        super().__init__(_GRID_RULES)
+        self._folders = folders
+        self._rows: pa.Table | None = None
+
+    def _table(self, columns: list[str]) -> pa.Table:
+        if self._rows is None:
+            rows = [{"study": folder.name, **_rules(folder)} for folder in self._folders]
+            self._rows = pa.Table.from_pylist(rows, _GRID_RULES)
+        return self._rows
+
+
+def _rules(folder: Path) -> dict[str, Any]:
+    """Return the rules in a study's grid, those that are valid choices."""
+    try:
+        text, overrides = study_files.source(folder)
+        raw = tomllib.loads(text)
+    except (OSError, ValueError, RecursionError, UserError):
+        return {}
+    for override in overrides:
+        with contextlib.suppress(UserError):  # one that is about something else
+            apply(raw, [override], _GRID_KEYS)
+    select, seeds, agents = raw.get("select"), raw.get("seeds"), raw.get("agent")
+    found: dict[str, Any] = {}
+    for name, value in (select if isinstance(select, dict) else {}).items():
+        listed = value if name == "by" and isinstance(value, list) else [value]
+        if listed and all(isinstance(item, str) and item in SELECT_CHOICES.get(name, ()) for item in listed):
+            found[name] = sorted(listed) if name == "by" else value
+    if not isinstance(seeds, dict) or "evaluate" not in seeds:
+        found.pop("by", None)  # nothing is evaluated, and choices are made by either rule
+    known = [agent for agent in (agents if isinstance(agents, list) else []) if isinstance(agent, dict)]
+    tables = [table for agent in known if isinstance(table := agent.get("derive"), dict)]
+    return found | {"derived": sorted({name for table in tables for name in table})}
+
+
 class _View(_Kept):
     """The rows of a view, evaluated on a connection of its own: the one that asks is in the midst of a query."""
 
@@ -176,6 +227,7 @@ def _datasets(store: Store) -> dict[str, ds.Dataset]:
             continue
         for name in _STUDY_TABLES:
             found[name] = _Files(_dataset(sorted(store.path.glob(f"studies/*/{name}.parquet")), name))
+        found["grid_rules"] = _GridRules(sorted(folder for folder in store.path.glob("studies/*") if folder.is_dir()))
         found["trials"] = _Files(_with_failed(found["trials"], store.failures()))
         return found
 

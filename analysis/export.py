@@ -20,6 +20,8 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 
 from analysis.database import connect
+from analysis.figures.query_text import listed
+from analysis.formats import FORMULA, NUMBER
 from analysis.query import short_message
 from sweep.files import Sink, flush_folder, flushed, write_atomically
 from sweep.messages import UserError, suggestion
@@ -27,7 +29,8 @@ from sweep.messages import UserError, suggestion
 FORMATS = ("parquet", "csv")
 CONTENTS = "export.json"
 _BATCH = 100_000
-_FORMULA = r"^[=+\-@]"
+_MOST_TRIALS = 5_000
+"""Trials that one query of the rows of trials names."""
 
 #: Tables and views → the columns that their rows are sorted by; rows of () stay in the order of the store.
 #: The tables of single trials hold the trials of the study, of whichever study trained them.
@@ -109,19 +112,37 @@ def _check_folder(store: Path, out: Path, force: bool) -> None:
         raise UserError(f"{out}: has files already: choose an empty folder, or --force to replace those of the same names")
 
 
-def _query(relation: str) -> str:
-    """Return the SELECT of a relation's rows of some studies, whose names are its parameter."""
-    if relation == STEPS or relation in _OF_TRIALS:
-        condition = "trial IN (SELECT trial FROM members WHERE study IN (SELECT UNNEST($1)))"
-    else:
-        condition = "study IN (SELECT UNNEST($1))"
+def _queries(connection: duckdb.DuckDBPyConnection, relation: str, studies: Sequence[str]) -> list[str]:
+    """Return the SELECTs of a relation's rows of some studies, whose rows follow each other.
+
+    Trials are named one by one: DuckDB hands literals on to the reader of the files, which then skips all others, but it does
+    not hand on what a subquery finds.
+    """
     order = (_OF_TRIALS | _OF_STUDIES).get(relation, ())
     columns = ", ".join(f'"{name}"' for name in order)
-    return f"SELECT * FROM {relation} WHERE {condition}" + (f" ORDER BY {columns}" if order else "")
+    select, sort = f"SELECT * FROM {relation} WHERE ", f" ORDER BY {columns}" if order else ""
+    if relation != STEPS and relation not in _OF_TRIALS:
+        return [f"{select}study IN ({listed(studies)}){sort}"]
+    found = connection.execute(f"SELECT DISTINCT trial FROM members WHERE study IN ({listed(studies)}) ORDER BY trial").fetchall()
+    trials = [row[0] for row in found]
+    chunks = [trials[start : start + _MOST_TRIALS] for start in range(0, len(trials), _MOST_TRIALS)] or [[]]
+    return [f"{select}trial IN ({listed(chunk)}){sort}" for chunk in chunks]
+
+
+def _batches(connection: duckdb.DuckDBPyConnection, queries: Sequence[str]) -> pa.RecordBatchReader:
+    """Return a reader of the rows of queries, one after the other; all have the columns of the first."""
+    first = connection.sql(queries[0]).to_arrow_reader(_BATCH)
+
+    def rows() -> Iterator[pa.RecordBatch]:
+        yield from first
+        for query in queries[1:]:
+            yield from connection.sql(query).to_arrow_reader(_BATCH)
+
+    return pa.RecordBatchReader.from_batches(first.schema, rows())
 
 
 def _export(connection: duckdb.DuckDBPyConnection, relation: str, studies: Sequence[str], file: Path) -> Exported:
-    batches = connection.sql(_query(relation), params=[list(studies)]).to_arrow_reader(_BATCH)
+    batches = _batches(connection, _queries(connection, relation, studies))
     write = _write_csv if file.suffix == ".csv" else _write_parquet
     with _in_place_when_whole(file) as sink:
         rows = write(batches, sink)
@@ -177,7 +198,9 @@ def _csv_column(column: pa.Array) -> pa.Array:
         texts = pa.array([None if value is None else value.isoformat() for value in column.to_pylist()], pa.string())
     else:
         texts = column.cast(pa.string())
-    return pc.if_else(pc.match_substring_regex(texts, _FORMULA), pc.binary_join_element_wise("'", texts, ""), texts)
+    starts = pc.match_substring_regex(texts, f"^{FORMULA}")
+    is_formula = pc.and_not(starts, pc.match_substring_regex(texts, f"^({NUMBER})$"))
+    return pc.if_else(is_formula, pc.binary_join_element_wise("'", texts, ""), texts)
 
 
 def _contents(connection: duckdb.DuckDBPyConnection, studies: Sequence[str], format: str, written: Sequence[Exported]) -> bytes:

@@ -7,6 +7,7 @@ import io
 import itertools
 import json
 import math
+import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -17,7 +18,8 @@ MOST_ROWS = 1_000
 """Rows that a table shows; the other formats hold all."""
 
 _CONTROL = {code: None for code in (*range(32), *range(127, 160)) if chr(code) not in "\n\t"}
-_FORMULA = ("=", "+", "-", "@")
+#: What a spreadsheet runs as a formula, unless the whole text is a number. Both Python and RE2 (Arrow) know these patterns.
+FORMULA, NUMBER = r"[=+\-@]", r"[+\-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+\-]?[0-9]+)?|[+\-]?(inf|nan)"
 
 
 def format_result(table: pa.Table, format: str) -> bytes:
@@ -54,7 +56,7 @@ def format_markdown(table: pa.Table) -> bytes:
 def format_csv(table: pa.Table) -> bytes:
     """RFC 4180 with a header; NULL is empty, numbers keep every digit, lists are JSON.
 
-    Texts that a spreadsheet would run as a formula get an apostrophe in front.
+    Texts that a spreadsheet would run as a formula get an apostrophe in front; numbers do not.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -133,4 +135,5 @@ def _jsonable(value: Any) -> Any:
 
 
 def _safe_for_spreadsheets(value: Any) -> Any:
-    return f"'{value}" if isinstance(value, str) and value.startswith(_FORMULA) else value
+    is_formula = isinstance(value, str) and re.match(FORMULA, value) and not re.fullmatch(NUMBER, value)
+    return f"'{value}" if is_formula else value

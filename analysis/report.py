@@ -94,7 +94,7 @@ def report(
         say("reading")
         facts = gather(connection, store, study)
         # with one environment, both rules choose the same
-        rules = sorted({row["by"] for row in facts.choices}) if facts.has_choice and len(facts.environments) > 1 else []
+        rules = facts.by if len(facts.by) == 1 or (facts.has_choice and len(facts.environments) > 1) else []
         shown, left_out = exhibits(connection, study, facts.environments, rules, seed, pictures, say)
     except duckdb.Error as error:
         raise UserError(f"{path}: {short_message(error)}") from None

@@ -82,7 +82,10 @@ def _tuning(facts: Facts, kinds: set[str]) -> list[Item]:
         ),
         Item(
             "Do environments weigh equally in what is chosen across them?",
-            _yes("normalizer" not in kinds, len(facts.environments) > 1 and bool(facts.spreads)),
+            _yes(
+                "normalizer" not in kinds,
+                "across-environments" in facts.by and len(facts.environments) > 1 and bool(facts.spreads),
+            ),
             f"normalizer {facts.rules['normalizer']}",
         ),
     ]

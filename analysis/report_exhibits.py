@@ -1,8 +1,8 @@
 """The figures and tables of a report: all of the catalogue that a study has data for, each with the checksum of its data.
 
 What carries a number of the thesis is shown of the study that it was made for (or of its small version) alone; the kinds are
-shown of every study, and what shows the choices of one rule once for each rule of the study. What would show the same twice is
-left out: an exhibit with the same data, and a kind that numbered ones show of all environments.
+shown of every study, and what shows the choices of one rule once for each rule that the study asks for. What would show the same
+twice is left out: an exhibit with the same data, and a kind that numbered ones show of all environments.
 """
 
 import base64
@@ -27,6 +27,12 @@ _PIXELS = 96
 """Pixels an inch, of a page."""
 _LARGEST_DRAWING = 400_000
 """Bytes of a figure as lines; one with more is shown as pixels."""
+_DISPLAY_NAMES = {
+    "figure setting-ecdf": "Distribution over settings",
+    "figure importance": "Importance of hyperparameters",
+    "table importance": "Shares of variance",
+}
+"""Labels → names, of kinds whose name does not say it, or names a figure and a table alike."""
 _EVALUATIONS = "SELECT 1 FROM evaluations WHERE trial IN (SELECT trial FROM members WHERE study = ?) LIMIT 1"
 
 
@@ -58,6 +64,11 @@ class Exhibit:
         object.__setattr__(self, "sha256", hashlib.sha256(self.csv).hexdigest())
 
     @property
+    def name(self) -> str:
+        """What readers call it: "Figure 7.1", "Learning curve"."""
+        return display_name(self.label)
+
+    @property
     def anchor(self) -> str:
         """The name of its place on the page."""
         parts = (self.label, self.rule)
@@ -72,6 +83,21 @@ class LeftOut:
     title: str
     reason: str
 
+    @property
+    def name(self) -> str:
+        """What readers call it."""
+        return display_name(self.label)
+
+
+def display_name(label: str) -> str:
+    """Return a label as readers want it: "figure 7.1" is Figure 7.1, "table tuned-settings" is Tuned settings."""
+    what, _, name = label.partition(" ")
+    name, *rule = name.split(" ", 1)
+    known = _DISPLAY_NAMES.get(label.removesuffix(f" {rule[0]}") if rule else label)
+    is_numbered = any(character.isdigit() for character in name)
+    shown = known or (f"{what.capitalize()} {name}" if is_numbered else name.replace("-", " ").capitalize())
+    return " ".join([shown, *rule])
+
 
 def exhibits(
     connection: duckdb.DuckDBPyConnection,
@@ -84,8 +110,8 @@ def exhibits(
 ) -> tuple[list[Exhibit], list[LeftOut]]:
     """Return what the study has data for and what not, in the order of the catalogue.
 
-    `environments`: of the study; `rules`: by which it chooses settings. `seed`: of bootstraps and permutations. Without
-    `pictures` figures are drawn, for their data, but not rendered. Raises UserError when a query fails.
+    `environments`: of the study; `rules`: by which it chooses settings, () where all choose the same. `seed`: of bootstraps and
+    permutations. Without `pictures` figures are drawn, for their data, but not rendered. Raises UserError when a query fails.
     """
     shown: list[Exhibit] = []
     left_out: list[LeftOut] = []
@@ -111,15 +137,15 @@ def exhibits(
         if same is None:
             shown.append(one)
         elif same.label != label:
-            left_out.append(LeftOut(label, entry.title, f"shows the same as {same.label}"))
+            left_out.append(LeftOut(label, entry.title, f"shows the same as {same.name}"))
     return shown, left_out
 
 
 def _numbered(shown: Sequence[Exhibit], kind: str, environments: Sequence[str]) -> str:
-    """Return the labels of the exhibits of a kind, if together they show all environments; else ""."""
+    """Return the names of the exhibits of a kind, if together they show all environments; else ""."""
     known = [one for one in shown if one.kind == kind and one.is_numbered]
     covered = {place for one in known if "environment" in one.data for place in one.data["environment"]}
-    return ", ".join(one.label for one in known) if covered.issuperset(environments) and environments else ""
+    return ", ".join(one.name for one in known) if covered.issuperset(environments) and environments else ""
 
 
 def _wanted(study: str, rules: Sequence[str]) -> Iterator[tuple[Entry, str]]:
@@ -127,9 +153,11 @@ def _wanted(study: str, rules: Sequence[str]) -> Iterator[tuple[Entry, str]]:
     for entry in everything():
         if not needs_store(entry) or (entry.study is not None and study not in (entry.study, f"small-{entry.study}")):
             continue
-        # tables put the rules side by side, unless their entry asks for one
-        is_of_one_rule = isinstance(entry, FigureEntry) or entry.options.by is not None
-        if entry.study is None and is_of_one_rule and "by" in entry.load().TAKES and len(rules) > 1:
+        # tables put several rules side by side, unless their entry asks for one
+        is_of_one_rule = isinstance(entry, FigureEntry) or entry.options.by is not None or len(rules) == 1
+        # unasked, it shows all of a few settings, and the choice by the first rule otherwise
+        is_answered = entry.kind == "evaluation_curve" and list(rules) == [REGIMES[0]]
+        if entry.study is None and is_of_one_rule and "by" in entry.load().TAKES and not is_answered and rules:
             yield from ((entry, rule) for rule in REGIMES if rule in rules)
         else:
             yield entry, ""

@@ -12,6 +12,7 @@ from typing import Any
 
 import duckdb
 
+from analysis.figures.options import REGIMES
 from sweep.grid_file import KEYS
 from sweep.messages import UserError
 from sweep.overrides import apply
@@ -74,7 +75,7 @@ SELECT COUNT(*) AS trials, COALESCE(SUM(steps), 0)::BIGINT AS agent_steps,
 FROM trials
 WHERE trial IN (SELECT trial FROM members WHERE study = $1) AND status IN ('finished', 'diverged')
 """
-_RULES = "SELECT score, normalizer, diverged FROM study_rules WHERE study = $1"
+_RULES = 'SELECT score, normalizer, diverged, "by" FROM study_rules WHERE study = $1'
 _CHOICES = """
 SELECT '{by}' AS "by", agent, environment, for_each, setting, source, mean, num_seeds,
     num_settings, num_left_out, num_tied, on_edge
@@ -108,9 +109,10 @@ class Facts:
     """A study as its members, trials and choices tell it.
 
     `grid`: the grid's text ("" where the store does not keep it), `overrides`: what `--set` changed. `planned`: the grid as a
-    table of tables, {} where there is none. `seeds`: stage → seeds. `choices`: the settings that tuning led to, by both rules;
-    `shown`: the stage and the number of the runs that show what a choice does. `spreads`: by environment, the normalized scores
-    of settings. `failures`: trials with reason, host and the end of the error. `running`: trials that launches train just now.
+    table of tables, {} where there is none. `seeds`: stage → seeds. `rules`: score, normalizer, what becomes of diverged runs.
+    `by`: the rules of choice that the study asks for; `choices`: the settings that tuning led to by these; `shown`: the stage
+    and the number of the runs that show what a choice does. `spreads`: by environment, the normalized scores of settings.
+    `failures`: trials with reason, host and the end of the error. `running`: trials that launches train just now.
     """
 
     study: str
@@ -125,6 +127,7 @@ class Facts:
     provenance: dict[str, Rows]
     totals: dict[str, Any]
     rules: dict[str, str]
+    by: list[str]
     choices: Rows
     shown: Rows
     spreads: Rows
@@ -175,7 +178,9 @@ def gather(connection: duckdb.DuckDBPyConnection, store: Store, study: str) -> F
         return [dict(zip(names, values, strict=True)) for values in answer.fetchall()]
 
     grid, overrides, planned = _grid(store, study)
-    regimes = {"per-environment": "tuned_per_environment", "across-environments": "tuned_across_environments"}
+    rules = (rows(_RULES) or [{"score": "episode_mean", "normalizer": "thesis", "diverged": "worst", "by": REGIMES}])[0]
+    asked = rules.pop("by")
+    by = [rule for rule in REGIMES if rule in asked]
     return Facts(
         study=study,
         grid=grid,
@@ -191,9 +196,10 @@ def gather(connection: duckdb.DuckDBPyConnection, store: Store, study: str) -> F
             for column in ("commit", "versions", "host", "device", "engine")
         },
         totals=rows(_TOTALS)[0],
-        rules=(rows(_RULES) or [{"score": "episode_mean", "normalizer": "thesis", "diverged": "worst"}])[0],
-        choices=[row for by, view in regimes.items() for row in rows(_CHOICES.format(by=by, view=view))],
-        shown=rows(_SHOWN),
+        rules=rules,
+        by=by,
+        choices=[row for rule in by for row in rows(_CHOICES.format(by=rule, view=f"tuned_{rule.replace('-', '_')}"))],
+        shown=[row for row in rows(_SHOWN) if row["by"] in by],
         spreads=rows(_SPREADS),
         failures=_failures(store, study),
         running=sum(one.count("running") for one in status(store, [study])),

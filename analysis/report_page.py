@@ -47,7 +47,6 @@ def render(report: "Report") -> str:
         "marked": marked,
         "seeds": seed_list,
         "thousands": lambda value: f"{value:,}",
-        "titled": lambda text: text[:1].upper() + text[1:],
     }
     settings = {"table tuned-settings", "table selection", "table A.1", "table A.2", "table A.3", "table A.4"}
     return environment.get_template("report.html").render(

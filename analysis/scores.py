@@ -1,8 +1,8 @@
 """Scores of settings as arrays, for the statistics: one agent on one environment, across environments, and on evaluation seeds.
 
 Settings are in the order of their hashes, so that of equally good ones the first is that which a selection takes. A run that
-diverged has the worst return of the environment (view `study_trials`); one that is missing, failed or completed no episode is
-NaN.
+diverged counts by the study's rule (view `run_scores`): it has the worst return of the environment, or is left out, as if it had
+not been planned. Runs that are left out are NaN and `dropped`; those that are missing, failed or completed no episode are NaN.
 
 Across environments the candidates are those of the selection: a setting on an environment where a hyperparameter does not apply
 (GreedyAC's entropy scale with discrete actions) belongs to every candidate that agrees on the others.
@@ -16,9 +16,10 @@ from typing import Any
 import duckdb
 import numpy as np
 
+from analysis.score_rows import PlannedSettings, check_known, check_place, planned_settings, read_column, run_values
 from analysis.tuning_scale import find_normalizer, normalize
 from sweep import schema
-from sweep.messages import UserError, suggestion
+from sweep.messages import UserError
 from sweep.selection import ACROSS_ENVIRONMENTS, PER_ENVIRONMENT
 
 SCORES = ("episode_mean", "step_mean", "final_mean")
@@ -28,8 +29,8 @@ SCORES = ("episode_mean", "step_mean", "final_mean")
 class SettingScores:
     """Scores `values` [H, S] of the settings of an agent on an environment, NaN where there is none.
 
-    `hypers`: name → the value of each setting, of those that vary between settings; lists are tuples, None where one does not
-    apply.
+    `dropped` [H, S]: which runs diverged and are left out. `hypers`: name → the value of each setting, of those that vary
+    between settings; lists are tuples, None where one does not apply.
     """
 
     agent: str
@@ -40,15 +41,21 @@ class SettingScores:
     settings: tuple[str, ...]
     hypers: dict[str, tuple[Any, ...]]
     values: np.ndarray
+    dropped: np.ndarray
 
     @property
     def complete(self) -> bool:
-        """Whether every run has a score."""
-        return bool(np.isfinite(self.values).all())
+        """Whether every run that is not left out has a score, and one of each setting."""
+        return bool(_whole(self.values, self.dropped).all())
+
+    @property
+    def means(self) -> np.ndarray:
+        """The mean [H] over the runs that have a score, NaN where none has."""
+        return mean_scores(self.values)
 
     def without_incomplete(self) -> "SettingScores":
-        """Return the settings all of whose runs have a score. Raises UserError where none has."""
-        kept = np.flatnonzero(np.isfinite(self.values).all(axis=1))
+        """Return the settings all of whose runs, but for those left out, have a score. Raises UserError where none has."""
+        kept = np.flatnonzero(_whole(self.values, self.dropped))
         if not len(kept):
             raise UserError(f"{self.agent} on {self.environment}: no setting has all of its runs and their scores")
         return replace(
@@ -56,6 +63,7 @@ class SettingScores:
             settings=tuple(self.settings[h] for h in kept),
             hypers=_varying({name: [values[h] for h in kept] for name, values in self.hypers.items()}),
             values=self.values[kept],
+            dropped=self.dropped[kept],
         )
 
 
@@ -63,9 +71,10 @@ class SettingScores:
 class AcrossScores:
     """Normalized scores `values` [E, H, S] of an agent's candidates, NaN where there is none.
 
-    `settings` [H]: the hash of each candidate's setting on each of the environments. `hypers` as in SettingScores. `frozen`:
-    whether the normalizer's constants are those of the study's selection, and not of the tuning runs as they are now.
-    `num_left_out`: settings, over all environments, that belong to no candidate because another environment has none that agrees.
+    `dropped` [E, H, S]: which runs diverged and are left out. `settings` [H]: the hash of each candidate's setting on each of
+    the environments. `hypers` as in SettingScores. `frozen`: whether the normalizer's constants are those of the study's
+    selection, and not of the tuning runs as they are now. `num_left_out`: settings, over all environments, that belong to no
+    candidate because another environment has none that agrees.
     """
 
     agent: str
@@ -77,16 +86,25 @@ class AcrossScores:
     settings: tuple[tuple[str, ...], ...]
     hypers: dict[str, tuple[Any, ...]]
     values: np.ndarray
+    dropped: np.ndarray
     num_left_out: int
 
     @property
     def complete(self) -> bool:
-        """Whether every run has a score."""
-        return bool(np.isfinite(self.values).all())
+        """Whether every run that is not left out has a score, and one of each setting."""
+        return bool(_whole(self.values, self.dropped).all())
+
+    @property
+    def means(self) -> np.ndarray:
+        """The mean [E, H] over the runs that have a score, NaN where none has."""
+        return mean_scores(self.values)
 
     def without_incomplete(self) -> "AcrossScores":
-        """Return the candidates all of whose runs, on all environments, have a score. Raises UserError where none has."""
-        kept = np.flatnonzero(np.isfinite(self.values).all(axis=(0, 2)))
+        """Return the candidates all of whose runs but for those left out, on all environments, have a score.
+
+        Raises UserError where none has.
+        """
+        kept = np.flatnonzero(_whole(self.values, self.dropped).all(axis=0))
         if not len(kept):
             raise UserError(f"{self.agent}: no setting has all of its runs and their scores on {', '.join(self.environments)}")
         return replace(
@@ -94,12 +112,26 @@ class AcrossScores:
             settings=tuple(self.settings[h] for h in kept),
             hypers=_varying({name: [values[h] for h in kept] for name, values in self.hypers.items()}),
             values=self.values[:, kept],
+            dropped=self.dropped[:, kept],
         )
 
 
 @dataclass(frozen=True)
+class ChoiceScores:
+    """Normalized scores `values` [E, S] on evaluation seeds of the settings that one rule chose; `dropped` as in AcrossScores."""
+
+    environments: tuple[str, ...]
+    seeds: tuple[int, ...]
+    values: np.ndarray
+    dropped: np.ndarray
+
+
+@dataclass(frozen=True)
 class EvaluatedScores:
-    """Normalized scores [E, S] on evaluation seeds of the settings chosen per environment (`tuned`) and across (`compromise`)."""
+    """Normalized scores [E, S] on evaluation seeds of the settings chosen per environment (`tuned`) and across (`compromise`).
+
+    `num_dropped`: runs that diverged and are left out, NaN.
+    """
 
     agent: str
     environments: tuple[str, ...]
@@ -108,6 +140,7 @@ class EvaluatedScores:
     seeds: tuple[int, ...]
     tuned: np.ndarray
     compromise: np.ndarray
+    num_dropped: int
 
 
 def load(
@@ -122,15 +155,15 @@ def load(
 
     Raises UserError for an unknown study, agent, environment, score or stage, and where no run has a score yet.
     """
-    _one_of("score", score, SCORES)
-    _one_of("stage", stage, schema.STAGES)
-    _check_place(connection, study, stage, agent, environment)
-    known = _settings(connection, study, stage, agent, [environment])[environment]
-    seeds, found = _values(connection, study, stage, agent, score, {environment: known.hashes})
-    values = found[environment]
+    check_known("score", score, SCORES)
+    check_known("stage", stage, schema.STAGES)
+    check_place(connection, study, stage, agent, environment)
+    known = planned_settings(connection, study, stage, agent, [environment])[environment]
+    seeds, found, left_out = run_values(connection, study, stage, agent, score, {environment: known.hashes})
+    values, dropped = found[environment], left_out[environment]
     if not np.isfinite(values).any():
         raise UserError(f'study "{study}": {agent} on {environment} has no {score} of a {stage} run yet')
-    return SettingScores(agent, environment, score, stage, seeds, known.hashes, _varying(known.hypers), values)
+    return SettingScores(agent, environment, score, stage, seeds, known.hashes, _varying(known.hypers), values, dropped)
 
 
 def load_across(
@@ -148,27 +181,26 @@ def load_across(
     where it was made with this normalizer and score; otherwise of the tuning runs. Raises UserError as `load`, where no candidate
     is on all environments, and where the normalizer is undefined.
     """
-    _one_of("score", score, SCORES)
-    _check_place(connection, study, "tune", agent)
-    known = _column(
+    check_known("score", score, SCORES)
+    check_place(connection, study, "tune", agent)
+    known = read_column(
         connection,
         "SELECT DISTINCT environment FROM members WHERE study = ? AND stage = 'tune' AND agent = ? ORDER BY environment",
         [study, agent],
     )
     for name in environments or ():
-        _one_of(f"{agent} in study {study}: environment", name, known)
+        check_known(f"{agent} in study {study}: environment", name, known)
     chosen = tuple(name for name in known if environments is None or name in environments)
     scale, name, frozen = find_normalizer(connection, study, score, normalizer, chosen)
-    found = _settings(connection, study, "tune", agent, chosen)
+    found = planned_settings(connection, study, "tune", agent, chosen)
     candidates = _joined(found)
     if not candidates:
         raise UserError(f'study "{study}": no setting of {agent} is on all of {", ".join(chosen)}; name fewer environments')
     hashes = [tuple(found[place].hashes[rows[place]] for place in chosen) for rows, _ in candidates]
     order = sorted(range(len(candidates)), key=lambda h: (sorted(hashes[h]), str(candidates[h][1])))
-    seeds, raw = _values(connection, study, "tune", agent, score, {place: found[place].hashes for place in chosen})
-    values = np.stack(
-        [normalize(scale, place, raw[place])[[candidates[h][0][place] for h in order]] for place in chosen],
-    )
+    seeds, raw, left_out = run_values(connection, study, "tune", agent, score, {place: found[place].hashes for place in chosen})
+    rows_of = {place: [candidates[h][0][place] for h in order] for place in chosen}
+    values = np.stack([normalize(scale, place, raw[place])[rows_of[place]] for place in chosen])
     if not np.isfinite(values).any():
         raise UserError(f'study "{study}": {agent} has no {score} of a tune run yet')
     names = list(dict.fromkeys(name for here in found.values() for name in here.hypers))
@@ -183,6 +215,7 @@ def load_across(
         settings=tuple(hashes[h] for h in order),
         hypers=_varying({name: [candidates[h][1].get(name) for h in order] for name in names}),
         values=values,
+        dropped=np.stack([left_out[place][rows_of[place]] for place in chosen]),
         num_left_out=sum(len(here.hashes) for here in found.values()) - len(used),
     )
 
@@ -203,16 +236,8 @@ def load_evaluated(
     Raises UserError as `load`, where nothing is chosen by one of the rules or a choice is made for each value of a
     hyperparameter, and where the normalizer is undefined.
     """
-    _one_of("score", score, SCORES)
-    _check_place(connection, study, "evaluate", agent)
-    rows = connection.execute(
-        'SELECT environment, "by", setting, for_each FROM selections WHERE study = ? AND agent = ? ORDER BY ALL', [study, agent]
-    ).fetchall()
-    if any(json.loads(for_each) for *_, for_each in rows):
-        raise UserError(
-            f'study "{study}": settings of {agent} are chosen for each value of a hyperparameter, not one an environment'
-        )
-    chosen = {(by, environment): setting for environment, by, setting, _ in rows}
+    check_known("score", score, SCORES)
+    chosen = _choices(connection, study, agent)
     places = tuple(sorted({environment for by, environment in chosen if (ACROSS_ENVIRONMENTS, environment) in chosen}))
     places = places if environments is None else tuple(place for place in places if place in environments)
     lacking = [place for place in places if (PER_ENVIRONMENT, place) not in chosen]
@@ -221,100 +246,63 @@ def load_evaluated(
     scale, name, _ = find_normalizer(connection, study, score, normalizer, places)
     # a setting that both rules chose is there once, and is the first and the last
     both = {place: tuple(dict.fromkeys(chosen[by, place] for by in (PER_ENVIRONMENT, ACROSS_ENVIRONMENTS))) for place in places}
-    seeds, raw = _values(connection, study, "evaluate", agent, score, both)
+    seeds, raw, left_out = run_values(connection, study, "evaluate", agent, score, both)
     tuned, compromise = (np.stack([normalize(scale, place, raw[place][row]) for place in places]) for row in (0, -1))
-    return EvaluatedScores(agent, places, score, name, seeds, tuned, compromise)
-
-
-@dataclass(frozen=True)
-class _Settings:
-    """Hashes [H], ascending, and name → the value of each, of the hyperparameters that apply to any of them."""
-
-    hashes: tuple[str, ...]
-    hypers: dict[str, list[Any]]
-
-
-def _one_of(what: str, value: str, choices: Sequence[str]) -> None:
-    if value not in choices:
-        raise UserError(f'{what} "{value}" is not known; {suggestion(value, choices)}')
-
-
-def _check_place(
-    connection: duckdb.DuckDBPyConnection, study: str, stage: str, agent: str, environment: str | None = None
-) -> None:
-    _one_of("study", study, _column(connection, "SELECT DISTINCT study FROM members"))
-    places = connection.execute(
-        "SELECT DISTINCT agent, environment FROM members WHERE study = ? AND stage = ?", [study, stage]
-    ).fetchall()
-    if not places:
-        raise UserError(f'study "{study}" has no {stage} trial')
-    _one_of(f"study {study}: agent", agent, sorted({name for name, _ in places}))
-    if environment is not None:
-        _one_of(f"{agent} in study {study}: environment", environment, sorted({name for of, name in places if of == agent}))
-
-
-def _column(connection: duckdb.DuckDBPyConnection, query: str, values: Sequence[Any] = ()) -> list[str]:
-    return [row[0] for row in connection.execute(query, list(values)).fetchall()]
-
-
-def _settings(
-    connection: duckdb.DuckDBPyConnection, study: str, stage: str, agent: str, environments: Sequence[str]
-) -> dict[str, _Settings]:
-    """Return environment → its settings."""
-    found = connection.execute(
-        """
-        SELECT DISTINCT ON (environment, setting) *
-        FROM members
-        WHERE study = ? AND stage = ? AND agent = ? AND list_contains(?, environment)
-        ORDER BY environment, setting
-        """,
-        [study, stage, agent, list(environments)],
+    return EvaluatedScores(
+        agent, places, score, name, seeds, tuned, compromise, sum(int(here.sum()) for here in left_out.values())
     )
-    names = [column[0] for column in found.description]
-    rows: dict[str, list[dict[str, Any]]] = {environment: [] for environment in environments}
-    for row in found.fetchall():
-        known = dict(zip(names, row, strict=True))
-        rows[known["environment"]].append(known)
-    return {
-        environment: _Settings(
-            tuple(row["setting"] for row in here),
-            {
-                name: [tuple(row[name]) if isinstance(row[name], list) else row[name] for row in here]
-                for name in names
-                if name not in schema.MEMBERS.names and any(row[name] is not None for row in here)
-            },
-        )
-        for environment, here in rows.items()
-    }
 
 
-def _values(
-    connection: duckdb.DuckDBPyConnection, study: str, stage: str, agent: str, score: str, settings: Mapping[str, Sequence[str]]
-) -> tuple[tuple[int, ...], dict[str, np.ndarray]]:
-    """Return the seeds, ascending, and environment → scores [H, S] of these settings, NaN where there is none."""
+def load_choice(
+    connection: duckdb.DuckDBPyConnection, study: str, agent: str, by: str, *, score: str = "episode_mean", normalizer: str | None
+) -> ChoiceScores:
+    """Return the normalized evaluation scores of the settings that the study's selection chose for an agent by the rule `by`.
+
+    Raises UserError as `load_evaluated`, but the other rule need not have chosen any.
+    """
+    check_known("score", score, SCORES)
+    chosen = {environment: setting for (of, environment), setting in _choices(connection, study, agent).items() if of == by}
+    if not chosen:
+        raise UserError(f'study "{study}": nothing is chosen {by.replace("-", " ")} for {agent}')
+    places = tuple(sorted(chosen))
+    scale, _, _ = find_normalizer(connection, study, score, normalizer, places)
+    seeds, raw, left_out = run_values(connection, study, "evaluate", agent, score, {place: (chosen[place],) for place in places})
+    values = np.stack([normalize(scale, place, raw[place][0]) for place in places])
+    return ChoiceScores(places, seeds, values, np.stack([left_out[place][0] for place in places]))
+
+
+def _choices(connection: duckdb.DuckDBPyConnection, study: str, agent: str) -> dict[tuple[str, str], str]:
+    """Return rule and environment → the setting that the study's selection chose for an agent."""
+    check_place(connection, study, "evaluate", agent)
     rows = connection.execute(
-        f"""
-        SELECT environment, setting, seed, {score}
-        FROM study_trials
-        WHERE study = ? AND stage = ? AND agent = ? AND list_contains(?, environment)
-        """,
-        [study, stage, agent, list(settings)],
+        'SELECT environment, "by", setting, for_each FROM selections WHERE study = ? AND agent = ? ORDER BY ALL', [study, agent]
     ).fetchall()
-    seeds = tuple(sorted({seed for _, _, seed, _ in rows}))
-    column = {seed: s for s, seed in enumerate(seeds)}
-    places = {(environment, setting): h for environment, here in settings.items() for h, setting in enumerate(here)}
-    values = {environment: np.full((len(here), len(seeds)), np.nan) for environment, here in settings.items()}
-    for environment, setting, seed, value in rows:
-        if value is not None and (environment, setting) in places:
-            values[environment][places[environment, setting], column[seed]] = value
-    return seeds, values
+    if any(json.loads(for_each) for *_, for_each in rows):
+        raise UserError(
+            f'study "{study}": settings of {agent} are chosen for each value of a hyperparameter, not one an environment'
+        )
+    return {(by, environment): setting for environment, by, setting, _ in rows}
+
+
+def mean_scores(values: np.ndarray) -> np.ndarray:
+    """Return the mean [...] of values [..., S] over those that there are, NaN where there is none."""
+    finite = np.isfinite(values)
+    counts = finite.sum(axis=-1)
+    sums = np.where(finite, values, 0.0).sum(axis=-1)
+    return np.divide(sums, counts, out=np.full(counts.shape, np.nan), where=counts > 0)
+
+
+def _whole(values: np.ndarray, dropped: np.ndarray) -> np.ndarray:
+    """Return which settings [...] have a score of each run [..., S] that is not left out, and of one at least."""
+    finite = np.isfinite(values)
+    return np.asarray((finite | dropped).all(axis=-1) & finite.any(axis=-1))
 
 
 def _varying(hypers: Mapping[str, Sequence[Any]]) -> dict[str, tuple[Any, ...]]:
     return {name: tuple(values) for name, values in hypers.items() if len(set(values)) > 1}
 
 
-def _joined(found: Mapping[str, _Settings]) -> list[tuple[dict[str, int], dict[str, Any]]]:
+def _joined(found: Mapping[str, PlannedSettings]) -> list[tuple[dict[str, int], dict[str, Any]]]:
     """Return the candidates on all environments: environment → the place of its setting there, and name → value."""
     candidates: list[tuple[dict[str, int], dict[str, Any]]] = [({}, {})]
     known: set[str] = set()

@@ -39,7 +39,7 @@ def find_normalizer(
 
 
 def _tuning_runs(connection: duckdb.DuckDBPyConnection, study: str, score: str) -> dict[str, TuningRuns]:
-    """Return what normalizers are made from, of the settings of all agents that have all of their runs."""
+    """Return what normalizers are made from, of the settings of all agents that have all runs that are not left out."""
     best = dict(
         connection.execute(
             """
@@ -55,8 +55,8 @@ def _tuning_runs(connection: duckdb.DuckDBPyConnection, study: str, score: str) 
     settings = connection.execute(
         f"""
         SELECT environment, agent, LIST({score} ORDER BY seed)
-        FROM study_trials
-        WHERE study = ? AND stage = 'tune'
+        FROM run_scores
+        WHERE study = ? AND stage = 'tune' AND NOT is_dropped
         GROUP BY environment, agent, setting
         HAVING COUNT({score}) = COUNT(*)
         ORDER BY environment, agent, setting

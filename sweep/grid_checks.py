@@ -23,15 +23,20 @@ from sweep.messages import nearest, suggestion
 from sweep.relations import Names, read_relations, zipped_names
 from sweep.settings import shown, swept_values
 
-_RESERVED = {*schema.TRIALS.names, *schema.MEMBERS.names}
-_COLUMN = "is the name of a column of every trial; a hyperparameter needs another"
+_OF_TRIALS = {*schema.TRIALS.names, *schema.MEMBERS.names}
+_SCORES = ("episode_mean", "step_mean", "final_mean")
+#: Columns of the SQL views that show hyperparameters beside results: one named so would have no column there.
+_OF_VIEWS = (
+    {*schema.SELECTIONS.names, "standard_error", "source", "is_frozen", "num_planned", "num_diverged"}
+    | {f"{score}_{what}" for score in _SCORES for what in ("standard_error", "low", "high")}
+) - _OF_TRIALS
 MAX_TRIALS = 1_000_000
 MAX_SEEDS = 1_000_000
 _SEED_END = 2**62
 #: [select]: the valid choices, the default first (all of `by`).
 SELECT_CHOICES = {
     "by": ("per-environment", "across-environments"),
-    "score": ("episode_mean", "step_mean", "final_mean"),
+    "score": _SCORES,
     "normalizer": ("thesis", "minmax", "percentile", "cdf"),
     "diverged": ("worst", "drop"),
 }
@@ -57,6 +62,7 @@ def problems(raw: dict[str, Any]) -> list[str]:
     found += _evaluation_problems(raw, known)
     for number, agent in enumerate(agents, start=1):
         found += _agent_problems(f"agent[{number}]", agent, [str(name) for name in environments], raw)
+    found += _case_problems(raw, agents, shared_names)
     found += _select_problems(_table(raw.get("select")), raw, agents)
     return found
 
@@ -210,7 +216,12 @@ def _agent_problems(place: str, agent: dict[str, Any], environments: list[str], 
             )
     found += _named_twice(agent, f"{place}.")
     derived = [name for name in _table(agent.get("derive")) if name in algorithm.hypers.table]
-    found += [f"{place}.derive.{name}: {_COLUMN}" for name in derived if name in _RESERVED]
+    found += [f"{place}.derive.{name}: {column}" for name in derived if (column := _column(name))]
+    given = {key for section in ("fixed", "sweep", "derive") for key in (*_table(agent.get(section)), *_table(raw.get(section)))}
+    declared = sorted(algorithm.hypers.table.keys() - given)  # columns as well, at their defaults
+    found += [
+        f'{place}.name = "{name}": its hyperparameter "{known}" {column}' for known in declared if (column := _column(known))
+    ]
     found += read_relations(place, agent, names_in_reach(raw, agent, algorithm, place))[1]
     found += _pattern_problems(f"{place}.environments", algorithm, agent.get("environments", ["*"]), environments)
     return found
@@ -229,8 +240,8 @@ def _algorithm(name: Any) -> Algorithm | str | None:
 def _hyper_problems(
     place: str, section: str, name: str, value: Any, hypers: list[Hyper], known: Any, repeats: bool = False
 ) -> list[str]:
-    if name in _RESERVED:
-        return [f"{place}: {_COLUMN}"]
+    if column := _column(name):
+        return [f"{place}: {column}"]
     if not hypers:
         return [f"{place}: unknown hyperparameter; {suggestion(name, known)}"] if known else []
     for hyper in hypers:  # every agent that has it must be able to take it
@@ -242,6 +253,28 @@ def _hyper_problems(
         except HyperparameterError as error:
             return [f"{place}: {error}" if section == "sweep" else f"{place} = {shown(value)}: {error}"]
     return []
+
+
+def _column(name: str) -> str | None:
+    """Return what is wrong with a hyperparameter that is named like a column. SQL does not tell upper from lower case."""
+    for columns, where in ((_OF_TRIALS, "of every trial"), (_OF_VIEWS, "of the tables of results")):
+        if name.lower() in columns:
+            return f"is the name of a column {where}; a hyperparameter needs another"
+    return None
+
+
+def _case_problems(raw: dict[str, Any], agents: list[dict[str, Any]], declared: list[str]) -> list[str]:
+    """Names that differ in case alone from one that came before, or from one that an algorithm declares."""
+    built_in = {name for algorithm in ALGORITHMS.values() for name in algorithm.hypers.table}
+    first = {name.lower(): name for name in sorted({*declared, *built_in})}
+    found = []
+    for prefix, tables in (("", raw), *((f"agent[{number}].", agent) for number, agent in enumerate(agents, start=1))):
+        for section in ("fixed", "sweep", "derive"):
+            for name in _table(tables.get(section)):
+                known = first.setdefault(name.lower(), name)
+                if name != known and not _column(name):
+                    found.append(f'{prefix}{section}.{name}: differs from "{known}" in case alone, which SQL does not tell apart')
+    return found
 
 
 def _named_twice(tables: dict[str, Any], prefix: str) -> list[str]:

@@ -48,9 +48,10 @@ def draw_panels(
             style.remark(axes, "no data yet")
     for axes in list(grid.flat)[len(environments) :]:
         axes.remove()
-    figure.supylabel(y_label, size=10)
+    label, height = figure.supylabel(y_label, size=10), figure.get_figheight()
     if looks:
         style.legend(figure, [Line2D([], [], markersize=5, **look) for look in looks.values()], values or None)
+    label.set_y(1 - 0.5 * height / figure.get_figheight())  # beside the panels, where the legend made the figure higher
     return figure
 
 

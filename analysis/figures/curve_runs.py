@@ -104,9 +104,9 @@ class CurveRuns:
 
 
 def regimes(connection: duckdb.DuckDBPyConnection, study: str) -> list[str]:
-    """Return the rules by which the study has chosen, the frozen choices' only where it has any: it evaluates no others."""
-    frozen = {row[0] for row in connection.execute('SELECT DISTINCT "by" FROM selections WHERE study = ?', [study]).fetchall()}
-    return [by for by in REGIMES if by in frozen] or list(REGIMES)
+    """Return the rules by which the study chooses (view `study_rules`): it evaluates no others."""
+    row = connection.execute('SELECT "by" FROM study_rules WHERE study = ?', [study]).fetchone()
+    return [by for by in REGIMES if row and by in row[0]] or list(REGIMES)
 
 
 def studies(connection: duckdb.DuckDBPyConnection, options: Options) -> list[str]:

@@ -46,7 +46,7 @@ def studies(connection: duckdb.DuckDBPyConnection, options: Options) -> list[str
         ).fetchall()
     }
     known = [study for study in curve_runs.studies(connection, options) if every_setting.matches(connection, study, options)]
-    return [study for study in known if study in evaluated] or known
+    return [study for study in known if study in evaluated] or (known if _may_show_learning(options) else [])
 
 
 def draw(connection: duckdb.DuckDBPyConnection, study: str, options: Options) -> Drawing:
@@ -54,8 +54,8 @@ def draw(connection: duckdb.DuckDBPyConnection, study: str, options: Options) ->
     for each environment and a line for each agent, or for each of its settings where it has a few and none was chosen. Lines are
     means over runs; the heading says what surrounds them and how many runs there are. Where it says that runs were chosen for
     their returns, the others are left out, which shows how far luck goes and nothing else. Several episodes of a run at one
-    step are averaged first. A run that diverged is left out from then on, which makes a mean too good. A study without such
-    episodes is shown by its learning curves instead, and the heading says so. At most 500 points are shown.
+    step are averaged first. A run that diverged is left out from then on, which makes a mean too good. The figures of chapter 3
+    show a study without such episodes by its learning curves, and the heading says so. At most 500 points are shown.
     """
     shown = _shown_runs(connection, study, options)
     kind = options.band or "standard-error"
@@ -65,6 +65,10 @@ def draw(connection: duckdb.DuckDBPyConnection, study: str, options: Options) ->
     is_evaluated = not rows.empty
     if is_evaluated:
         read = _evaluations(rows)
+    elif not _may_show_learning(options):
+        raise NoDataError(
+            f'study "{study}" has no evaluation episodes (`evaluation` in [study] asks for them): see learning-curve'
+        )
     else:
         sql = _EPISODES.format(trials=trials)
         read = _learning(connection, shown, connection.execute(sql).df())
@@ -82,6 +86,11 @@ def draw(connection: duckdb.DuckDBPyConnection, study: str, options: Options) ->
         )
         style.headline(figure, options.title, subtitle)
     return Drawing(figure, curve_data.tidy(curves), _notes(shown, curves, subtitle, is_evaluated), sql)
+
+
+def _may_show_learning(options: Options) -> bool:
+    """Return whether this is a figure of chapter 3, which says of which settings: those can do with learning curves."""
+    return bool(options.where)
 
 
 def _shown_runs(connection: duckdb.DuckDBPyConnection, study: str, options: Options) -> CurveRuns:

@@ -17,7 +17,7 @@ from analysis.figures import style
 from analysis.figures.drawing import Drawing
 from analysis.figures.options import NoDataError, Options
 from analysis.figures.scope import Scope, describe_progress, find_scope, quoted
-from analysis.figures.swept import Value, check_swept, find_swept
+from analysis.figures.swept import Value, check_swept, find_swept, find_values
 from sweep.messages import UserError
 
 TAKES = ("x", "over", "score", "agents", "environments")
@@ -28,28 +28,34 @@ _SMALLEST = 4.5
 """Points: numbers that would have to be smaller are left out."""
 _CELLS = """
 -- One row per (agent, environment, {x}, {over}): the best setting among those that share both values, by the mean {score}
--- over the tuning seeds; of equally good ones the lowest setting hash. Cells without data yet have NULL.
+-- over the tuning seeds; of equally good ones the lowest setting hash. Cells without data yet have NULL. Diverged runs count by
+-- the study's rule.
+WITH scored AS (
+    SELECT study, agent, environment, setting, AVG({score} ORDER BY seed) AS {score}, COUNT({score}) AS num_seeds
+    FROM run_scores
+    WHERE study = {study} AND stage = 'tune'
+    GROUP BY study, agent, environment, setting
+)
 SELECT
-    settings.study,
-    settings.agent,
-    settings.environment,
+    scored.study,
+    scored.agent,
+    scored.environment,
     x.value AS "{x}",
     y.value AS "{over}",
-    MAX(settings.{score}) AS best_mean,
-    FIRST(settings.setting ORDER BY settings.{score} DESC NULLS LAST, settings.setting ASC) AS setting,
-    FIRST(settings.num_seeds ORDER BY settings.{score} DESC NULLS LAST, settings.setting ASC) AS num_seeds,
-    COUNT(settings.{score}) AS num_settings,
+    MAX(scored.{score}) AS best_mean,
+    FIRST(scored.setting ORDER BY scored.{score} DESC NULLS LAST, scored.setting ASC) AS setting,
+    FIRST(scored.num_seeds ORDER BY scored.{score} DESC NULLS LAST, scored.setting ASC) AS num_seeds,
+    COUNT(scored.{score}) AS num_settings,
     COUNT(*) AS num_settings_planned
-FROM settings
+FROM scored
 INNER JOIN hyperparameters AS x
-    ON x.study = settings.study AND x.agent = settings.agent AND x.environment = settings.environment
-    AND x.setting = settings.setting AND x.hyperparameter = '{x}'
+    ON x.study = scored.study AND x.agent = scored.agent AND x.environment = scored.environment
+    AND x.setting = scored.setting AND x.hyperparameter = '{x}'
 INNER JOIN hyperparameters AS y
-    ON y.study = settings.study AND y.agent = settings.agent AND y.environment = settings.environment
-    AND y.setting = settings.setting AND y.hyperparameter = '{over}'
-WHERE settings.study = {study} AND settings.stage = 'tune'
-GROUP BY settings.study, settings.agent, settings.environment, x.value, y.value
-ORDER BY settings.agent, settings.environment, MIN(y.number), y.value, MIN(x.number), x.value
+    ON y.study = scored.study AND y.agent = scored.agent AND y.environment = scored.environment
+    AND y.setting = scored.setting AND y.hyperparameter = '{over}'
+GROUP BY scored.study, scored.agent, scored.environment, x.value, y.value
+ORDER BY scored.agent, scored.environment, MIN(y.number), y.value, MIN(x.number), x.value
 """
 
 
@@ -93,11 +99,11 @@ def studies(connection: duckdb.DuckDBPyConnection, options: Options) -> list[str
 
 
 def draw(connection: duckdb.DuckDBPyConnection, study: str, options: Options) -> Drawing:
-    """Best mean score over the remaining hyperparameters for each pair of values of two hyperparameters, the two that are
-    swept most widely unless others are named. Means over the tuning seeds; diverged trials count as the worst return of the
-    environment. One color scale an environment, so that agents can be compared; the best cell of a panel is outlined.
-    Hatched cells are planned and have no data yet, empty ones are no part of the study. Each cell is a maximum over
-    settings and thus optimistic, the more so the more settings it has.
+    """Best mean score over the remaining hyperparameters for each pair of values of two hyperparameters, the two that are swept
+    most widely unless others are named. Means over the tuning seeds; diverged runs count by the study's rule (worst return, or
+    left out). One color scale an environment, so that agents can be compared; the best cell of a panel is outlined. Hatched
+    cells are planned and have no data yet, empty ones are no part of the study. Each cell is a maximum over settings and thus
+    optimistic, the more so the more settings it has.
     """
     data = _load(connection, study, options)
     with style.styled():
@@ -116,8 +122,8 @@ def _load(connection: duckdb.DuckDBPyConnection, study: str, options: Options) -
     if cells["best_mean"].isna().all():
         raise NoDataError(f'study "{study}" has no finished tuning run yet')
     others = [name for name in swept if name not in (x, over)]
-    present = {name: set(cells[name]) for name in (x, over)}
-    columns, rows = ([value for value in swept[name] if value.text in present[name]] for name in (x, over))
+    # an agent may have fixed what others sweep, at a value of its own
+    columns, rows = (find_values(connection, study, name, cells[name]) for name in (x, over))
     return _Map(scope, x, over, columns, rows, cells, others)
 
 

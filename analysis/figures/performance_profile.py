@@ -35,12 +35,15 @@ def draw(connection: duckdb.DuckDBPyConnection, study: str, options: Options) ->
     """Performance profiles of the chosen settings: the share of runs, over all environments, with a normalized score above τ, a
     line an agent, a panel a tuning regime. Each environment counts the same, and only environments that all agents have count.
     A line that lies above another everywhere belongs to the better agent; where it crosses the height ½ is the median. Runs are
-    those of the evaluation stage, or the tuning runs of a study without one, which are too good; diverged runs score the worst
-    return of the environment. Bands are pointwise 95 % stratified bootstrap bands (2,000 resamples of runs within each
+    those of the evaluation stage, or the tuning runs of a study without one, which are too good; diverged runs count by the
+    study's rule (worst return, or left out).
+    Bands are pointwise 95 % stratified bootstrap bands (2,000 resamples of runs within each
     environment; where all environments have the same seeds these are drawn jointly). The normalizer is the study's unless
     another is asked for: percentile or cdf let environments weigh about the same, the thesis' does not.
     """
-    chosen, notes = on_common_environments(load_chosen(connection, study, options))
+    every = load_chosen(connection, study, options)
+    chosen, notes = on_common_environments(every)
+    notes += [f"{line}: left out" for line in every.unscored]
     chosen = normalize(connection, chosen, options.normalizer)
     thresholds = _thresholds(chosen)
     profiles = [(group, _profile(group, thresholds, options.seed)) for group in chosen.groups]
@@ -128,12 +131,24 @@ def _subtitle(chosen: ChosenRuns) -> str:
     return f"{chosen.subtitle()}, {number} {'environment' if counts == {1} else 'environments'}; {band}"
 
 
+def _median(group: Chosen) -> float:
+    """Return the score that half of the runs lie above, each environment with the same weight."""
+    scores = np.concatenate([runs.scores for runs in group.runs.values()])
+    weights = np.concatenate([np.full(len(runs.scores), 1 / len(runs.scores)) for runs in group.runs.values()])
+    order = np.argsort(scores, kind="stable")
+    half = len(group.runs) / 2
+    below = np.cumsum(weights[order])
+    upper = min(int(np.searchsorted(below, half * (1 + 1e-12), side="right")), len(scores) - 1)
+    lower = min(int(np.searchsorted(below, half * (1 - 1e-12), side="left")), len(scores) - 1)
+    return float(scores[order][[lower, upper]].mean())
+
+
 def _medians(profiles: list[tuple[Chosen, Band]]) -> list[str]:
     lines = []
     for group, _ in profiles:
-        scores = np.concatenate([runs.scores for runs in group.runs.values()])
+        worst = min(runs.scores.min() for runs in group.runs.values())
         lines.append(
-            f"{group.name}, tuned {group.by.replace('-', ' ')}: half of the runs above {np.median(scores):.4g}, "
-            f"the worst {scores.min():.4g}"
+            f"{group.name}, tuned {group.by.replace('-', ' ')}: half of the runs above {_median(group):.4g}, "
+            f"the worst {worst:.4g}"
         )
     return lines

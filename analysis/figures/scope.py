@@ -27,6 +27,7 @@ class Scope:
     """The tuning stage of `study`, as far as options ask for it.
 
     `score`: column of `trials`. `seeds`: planned a setting. `steps`: of a trial. `progress`: of each agent on each environment.
+    `diverged`: what diverged runs count for, "worst" or "drop".
     """
 
     study: str
@@ -34,6 +35,7 @@ class Scope:
     seeds: int
     steps: int
     progress: dict[tuple[str, str], Progress]
+    diverged: str = "worst"
 
     @property
     def agents(self) -> list[str]:
@@ -88,7 +90,8 @@ def find_scope(connection: duckdb.DuckDBPyConnection, study: str, options: Optio
         """,
         [study],
     ).fetchall()[0]
-    return Scope(study, options.score or find_rule(connection, study, "score"), seeds, steps, progress)
+    score = options.score or find_rule(connection, study, "score")
+    return Scope(study, score, seeds, steps, progress, find_rule(connection, study, "diverged"))
 
 
 def find_rule(connection: duckdb.DuckDBPyConnection, study: str, name: str) -> str:
@@ -104,10 +107,13 @@ def describe_progress(scope: Scope) -> list[str]:
         if progress.done < progress.planned:
             lines.append(f"{agent} on {environment}: {progress.done:,} of {progress.planned:,} trials")
         if progress.diverged:
-            lines.append(
-                f"{agent} on {environment}: {progress.diverged:,} diverged, counted as the worst return of the environment"
-            )
+            lines.append(f"{agent} on {environment}: {progress.diverged:,} diverged, {describe_diverged(scope.diverged)}")
     return lines
+
+
+def describe_diverged(rule: str) -> str:
+    """Return what a study's rule, "worst" or "drop", makes of runs that diverged."""
+    return "left out" if rule == "drop" else "counted as the worst return of the environment"
 
 
 def quoted(text: str) -> str:

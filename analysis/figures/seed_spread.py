@@ -51,8 +51,8 @@ def draw(connection: duckdb.DuckDBPyConnection, study: str, options: Options) ->
     with its 95 % Student interval (thick), and how runs spread (thin): where there are enough runs, a tolerance interval that
     contains nine tenths of all runs with 95 % confidence; otherwise the lowest, the median and the highest run, which promise
     nothing of the kind. Filled points are of settings tuned per environment, open ones of settings tuned across environments.
-    They are evaluation runs unless the heading says that they are the tuning runs that the settings were chosen by. A run
-    that diverged has the worst return of the environment. The interval of the mean says how well the mean is known, the
+    They are evaluation runs unless the heading says that they are the tuning runs that the settings were chosen by. Diverged
+    runs count by the study's rule (worst return, or left out). The interval of the mean says how well the mean is known, the
     spread what a single run may be like.
     """
     chosen = load_chosen(connection, study, options)
@@ -67,6 +67,8 @@ def _groups(chosen: ChosenRuns) -> list[Group]:
     found = []
     for of in chosen.groups:
         for environment, runs in of.runs.items():
+            if not len(runs.scores):
+                continue
             several = len(runs.scores) > 1
             place = chosen.names.index(of.name) + _WIDTH * ((known.index(of.by) + 0.5) / len(known) - 0.5)
             mean = interval(runs.scores) if several else None
@@ -85,6 +87,8 @@ def _figure(chosen: ChosenRuns, groups: Sequence[Group], title: str) -> Figure:
         for group in groups:
             if group.environment == environment:
                 _draw(axes, group, colors[group.agent], _WIDTH / len(chosen.regimes))
+        if all(group.environment != environment for group in groups):
+            style.remark(axes, "no run has a score")
         axes.set_title(environment, weight="bold", size=11)
         axes.grid(visible=False, axis="x")
         axes.set_xlim(-0.6, len(chosen.names) - 0.4)

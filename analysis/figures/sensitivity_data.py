@@ -15,7 +15,18 @@ from sweep.messages import UserError, suggestion
 _IDENTITY = {"study", "stage", "trial", "setting", "agent", "environment", "seed", "steps"}
 _LINES = """
 -- One row per (agent, environment, {x}, {over}): the best setting among those that share both values, by the mean {score}
--- over the tuning seeds; of equally good ones the lowest setting hash.
+-- over the tuning seeds; of equally good ones the lowest setting hash. Diverged runs count by the study's rule.
+WITH scored AS (
+    SELECT agent, environment, setting, AVG({score} ORDER BY seed) AS {score}, COUNT({score}) AS num_seeds
+    FROM run_scores
+    WHERE study = {study} AND stage = 'tune'
+    GROUP BY agent, environment, setting
+),
+planned AS (
+    SELECT DISTINCT study, agent, environment, setting, "{x}", "{over}"
+    FROM members
+    WHERE study = {study} AND stage = 'tune' AND "{x}" IS NOT NULL AND "{over}" IS NOT NULL{panels}
+)
 SELECT
     study,
     agent,
@@ -28,8 +39,8 @@ SELECT
     MIN(num_seeds) FILTER (WHERE num_seeds > 0) AS min_num_seeds,
     COUNT({score}) AS num_settings,
     COUNT(*) AS num_settings_planned
-FROM settings
-WHERE study = {study} AND stage = 'tune' AND "{x}" IS NOT NULL AND "{over}" IS NOT NULL{panels}
+FROM planned
+INNER JOIN scored USING (agent, environment, setting)
 GROUP BY study, agent, environment, "{x}", "{over}"
 HAVING COUNT({score}) > 0
 ORDER BY agent, environment, "{over}", "{x}"
@@ -37,13 +48,14 @@ ORDER BY agent, environment, "{over}", "{x}"
 _RUNS = """
 -- One row per run of the study's tuning stage.
 SELECT agent, environment, setting, seed, status, {score} AS score
-FROM study_trials
+FROM run_scores
 WHERE study = ? AND stage = 'tune'
 """
 _RUN_SCORES = """
--- One row per (stage, agent, environment, setting, seed): the score of each run; a diverged run has the worst return.
+-- One row per (stage, agent, environment, setting, seed): the score of each run; a diverged run has the worst return, or by the
+-- study's rule none.
 SELECT study, stage, agent, environment, setting, seed, status, {score}
-FROM study_trials
+FROM run_scores
 WHERE study = {study} AND stage IN ({stages}) AND agent IN ({agents}) AND environment IN ({environments})
 ORDER BY ALL
 """
@@ -73,7 +85,7 @@ class SensitivityData:
     `x` and `over` name the hyperparameters of the axis and of the lines. `planned` has a row per (agent, environment, x, over) of
     the tuning stage, `lines` the rows of `sql` for those that have data; `seeds` is the number of seeds planned a setting.
     `settings` has the hyperparameters of each setting, lists as texts; `runs` the score of each run, NaN where it has none.
-    `returns`: environment → lowest and highest return of an episode.
+    `returns`: environment → lowest and highest return of an episode. `diverged`: what diverged runs count for, "worst" or "drop".
     """
 
     study: str
@@ -90,6 +102,7 @@ class SensitivityData:
     seeds: int
     steps: int
     maximized: list[str]
+    diverged: str
 
     @property
     def agents(self) -> list[str]:
@@ -199,6 +212,7 @@ def load(connection: duckdb.DuckDBPyConnection, study: str, options: Options) ->
         seeds=int(settings["planned"].max()),
         steps=int(settings["most_steps"].max()),
         maximized=_maximized(settings, [name for name in known if name not in (x, over)]),
+        diverged=find_rule(connection, study, "diverged"),
     )
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from analysis.figures.scope import describe_diverged
 from analysis.figures.sensitivity_data import SensitivityData
 from analysis.figures.style import words
 from analysis.statistics.estimate import Estimate
@@ -48,7 +49,7 @@ def notes(data: SensitivityData, seed: int = 0) -> list[str]:
         if empty and progress.done:
             lines.append(f"{where}: no data yet for ({data.x}, {data.over}) {', '.join(empty)}")
         if progress.diverged:
-            lines.append(f"{where}: {progress.diverged:,} diverged, counted as the worst return of the environment")
+            lines.append(f"{where}: {progress.diverged:,} diverged, {describe_diverged(data.diverged)}")
     if judged:
         lines.append(
             f"intervals: 95 %, percentile bootstrap of the tuning seeds, {RESAMPLES:,} resamples; p: {PERMUTATIONS:,} "
@@ -82,6 +83,8 @@ def _region(table: pd.DataFrame) -> str:
 
 def _judge(data: SensitivityData, agent: str, environment: str, seed: int) -> Region | str:
     """Return what the region is worth, or why that cannot be said."""
+    if data.diverged == "drop" and data.progress[agent, environment].diverged:
+        return "no interval of the width: diverged runs are left out, so that settings differ in their seeds"
     try:
         scores = data.arranged(agent, environment).scores
         return region(scores, resamples=RESAMPLES, permutations=PERMUTATIONS, splits=100, seed=seed)

@@ -34,7 +34,7 @@ def studies(connection: duckdb.DuckDBPyConnection, options: Options) -> list[str
 def draw(connection: duckdb.DuckDBPyConnection, study: str, options: Options) -> Drawing:
     """Best average episodic return over the remaining hyperparameters, by critic step-size (log axis), a line for each
     entropy scale τ. The shaded region lies between the lowest and the highest line: the narrower it is, the less the
-    entropy scale matters. Means over the tuning seeds; diverged trials count as the worst return of the environment.
+    entropy scale matters. Means over the tuning seeds; diverged runs count by the study's rule (worst return, or left out).
     Hatched where lines are still missing, so that the region may yet grow. Each point is a maximum over settings and
     thus optimistic. Other hyperparameters can take the places of the two. The notes judge the width: its 95 % bootstrap
     interval over seeds, the width that noise alone would give, a permutation test, and the level of the lines, because a

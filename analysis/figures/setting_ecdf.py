@@ -23,9 +23,10 @@ TAKES = ("score", "agents", "environments")
 _MANY = 20
 """With more settings than this the number that is tried has a log axis."""
 _SQL = """
--- One row per (agent, environment, setting, seed): the scores of the tuning runs. A setting's score is the mean over its seeds.
+-- One row per (agent, environment, setting, seed): the scores of the tuning runs. A setting's score is the mean over its seeds;
+-- diverged runs count by the study's rule.
 SELECT study, agent, environment, setting, seed, status, {score}
-FROM study_trials
+FROM run_scores
 WHERE study = {study} AND stage = 'tune'
 ORDER BY agent, environment, setting, seed
 """
@@ -44,13 +45,17 @@ class _Curve:
 
 @dataclass(frozen=True)
 class _Settings:
-    """An agent on an environment: `shares` by score, `best` by number of settings, of `num_settings`; others were left out."""
+    """An agent on an environment: `shares` by score, `best` by number of settings, of `num_settings`; others were left out.
+
+    `is_uneven`: diverged runs are left out, so that settings differ in their seeds.
+    """
 
     agent: str
     environment: str
     num_settings: int
     num_left_out: int
     num_seeds: int
+    is_uneven: bool
     shares: _Curve
     best: _Curve
 
@@ -75,13 +80,13 @@ def studies(connection: duckdb.DuckDBPyConnection, options: Options) -> list[str
 
 
 def draw(connection: duckdb.DuckDBPyConnection, study: str, options: Options) -> Drawing:
-    """Above: the share of an agent's settings whose mean score is at least the one on the axis. Below: the mean score to
-    expect of the best of m settings drawn at random without replacement, for m up to all of them; it says what a small tuning
-    budget buys. The mean score of a setting is over its tuning seeds; diverged trials count as the
-    environment's worst return.
-    Settings that lack a run are left out. Bands are pointwise 95 % percentile intervals over 1,000 bootstrap resamples of the
-    tuning seeds, the same for all settings; with a single seed there are none. The best of several noisy means is optimistic,
-    the more so the larger m is: the data hold it without that luck too, chosen on half of the seeds and scored on the others.
+    """Above: the share of an agent's settings whose mean score is at least the one on the axis. Below: the mean score to expect
+    of the best of m settings drawn at random without replacement, for m up to all of them; it says what a small tuning budget
+    buys. The mean score of a setting is over its tuning seeds; diverged runs count by the study's rule (worst return, or left
+    out). Settings that lack a run are left out. Bands are pointwise 95 % percentile intervals over 1,000 bootstrap resamples of
+    the tuning seeds, the same for all settings; with a single seed, or where a diverged run is left out, so that settings differ
+    in their seeds, there are none. The best of several noisy means is optimistic, the more so the larger m is: the data hold it
+    without that luck too, chosen on half of the seeds and scored on the others.
     """
     scope = find_scope(connection, study, options)
     found = [known for place in scope.progress if (known := _measure(connection, scope, *place, options.seed)) is not None]
@@ -105,7 +110,7 @@ def _measure(connection: duckdb.DuckDBPyConnection, scope: Scope, agent: str, en
         return None
     values = kept.values
     num_settings, num_seeds = values.shape
-    if num_seeds > 1:
+    if num_seeds > 1 and not kept.dropped.any():
         # the share of means that are at least t is that of negative means that are at most −t
         shares, best = distribution(-values, seed=seed), best_of(values, seed=seed)
         curves = (
@@ -113,14 +118,16 @@ def _measure(connection: duckdb.DuckDBPyConnection, scope: Scope, agent: str, en
             _Curve(best.curve.x, best.curve.value, best.curve.low, best.curve.high, best.split_half),
         )
     else:
-        means = np.sort(values[:, 0])
+        means = np.sort(kept.means)
         x = np.unique(means)
         expected = best_weights(num_settings, num_settings, replacement=False) @ means
         curves = (
             _bare(x, 1 - np.searchsorted(means, x, side="left") / num_settings),
             _bare(np.arange(1, num_settings + 1), expected),
         )
-    return _Settings(agent, environment, num_settings, len(loaded.settings) - num_settings, num_seeds, *curves)
+    return _Settings(
+        agent, environment, num_settings, len(loaded.settings) - num_settings, num_seeds, bool(kept.dropped.any()), *curves
+    )
 
 
 def _bare(x: np.ndarray, value: np.ndarray) -> _Curve:
@@ -204,7 +211,9 @@ def _name_axes(above: Axes, below: Axes, score: str, most: int) -> None:
 
 
 def _subtitle(scope: Scope, found: list[_Settings]) -> str:
-    interval = " with pointwise 95 % bootstrap band" if any(known.num_seeds > 1 for known in found) else ", no interval from one"
+    banded = any(known.num_seeds > 1 and not known.is_uneven for known in found)
+    lacking = ", no interval from one" if all(known.num_seeds == 1 for known in found) else ", no interval"
+    interval = " with pointwise 95 % bootstrap band" if banded else lacking
     return f"settings by their {scope.subtitle(interval)}"
 
 
@@ -221,6 +230,9 @@ def _notes(scope: Scope, found: list[_Settings], seed: int) -> list[str]:
             lines.append(f"{where}: left out for lack of a run: {_count(known.num_left_out)}")
     if any(known.num_seeds == 1 for known in found):
         lines.append("one tuning seed: no interval; it needs two at least")
+    uneven = [f"{known.agent} on {known.environment}" for known in found if known.is_uneven]
+    if uneven:
+        lines.append(f"no interval, since diverged runs are left out and settings differ in their seeds: {', '.join(uneven)}")
     absent = set(scope.progress) - {(known.agent, known.environment) for known in found}
     lines += [f"{agent} on {environment}: no setting has all of its runs yet" for agent, environment in sorted(absent)]
     return [*lines, *describe_progress(scope)]

@@ -1,6 +1,7 @@
 """The one look of all figures: colors that color-blind readers tell apart, markers and dashes for print, panels with titles."""
 
 import contextlib
+import math
 import textwrap
 from collections.abc import Iterator, Sequence
 from typing import Literal
@@ -65,12 +66,20 @@ def headline(figure: Figure, title: str, subtitle: str = "") -> None:
 
 
 def legend(figure: Figure, handles: Sequence[object], title: str | None = None) -> None:
-    """Put one legend for all panels below them, in as many columns as fit."""
-    columns = min(len(handles), max(1, int(figure.get_figwidth() / 0.9)))
-    longest = max((len(str(handle.get_label())) for handle in handles), default=0)  # type: ignore[attr-defined]
-    columns = min(columns, max(1, int(figure.get_figwidth() / (0.35 + 0.085 * longest))))
+    """Put one legend for all panels below them, in as many columns as fit.
+
+    Labels wider than the figure are wrapped; a legend of more than three lines makes the figure higher, not its panels smaller.
+    """
+    width, height = figure.get_size_inches()
+    labels = [textwrap.fill(str(handle.get_label()), int((width - 0.5) / 0.085)) for handle in handles]  # type: ignore[attr-defined]
+    longest = max((len(line) for label in labels for line in label.split("\n")), default=0)
+    columns = min(len(handles), max(1, int(width / 0.9)), max(1, int(width / (0.35 + 0.085 * longest))))
+    lines = math.ceil(sum(label.count("\n") + 1 for label in labels) / max(1, columns))
+    figure.set_size_inches(width, height + 0.22 * max(0, lines - 3))
     spacing = {"columnspacing": 1.4, "handletextpad": 0.5, "handlelength": 1.8}
-    figure.legend(handles=handles, ncols=columns, loc="outside lower center", title=title, frameon=False, **spacing)
+    figure.legend(
+        handles=handles, labels=labels, ncols=columns, loc="outside lower center", title=title, frameon=False, **spacing
+    )
 
 
 def remark(axes: Axes, text: str) -> None:

@@ -1,6 +1,6 @@
 """Which hyperparameters a study sweeps, and their values in the order in which an axis has them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import duckdb
@@ -68,6 +68,15 @@ def check_swept(connection: duckdb.DuckDBPyConnection, study: str, flag: str, na
     if name not in known:
         raise UserError(f'--{flag}: unknown hyperparameter "{name}": {suggestion(name, known)}')
     raise NoDataError(f'study "{study}" does not sweep {name}; it sweeps {", ".join(swept)}')
+
+
+def find_values(connection: duckdb.DuckDBPyConnection, study: str, name: str, texts: Iterable[str]) -> list[Value]:
+    """Return the values of a hyperparameter that are among `texts`, swept or not, in the order of an axis."""
+    rows = connection.execute(
+        "SELECT DISTINCT value, number FROM hyperparameters WHERE study = ? AND hyperparameter = ?", [study, name]
+    ).fetchall()
+    wanted = set(texts)
+    return _ordered({Value(text, number) for text, number in rows if text in wanted})
 
 
 def are_numbers(values: Sequence[Value]) -> bool:

@@ -1,7 +1,7 @@
 -- One row per (study, by, agent, environment, for_each, trial).
 -- Thesis 6.1 and 6.2: the runs that show what a choice does. They are its evaluation trials, whose seeds had no part in the
 -- choice, once the study has run any; of a study without an evaluation stage its tuning trials, which are too good.
--- A study that has frozen its choices has runs by the rules that it asked for, and by no other.
+-- A study with evaluation seeds has runs by the rules that it asks for (`study_rules`), and by no other.
 WITH choices AS (
     SELECT study, 'per-environment' AS "by", agent, environment, for_each, setting
     FROM tuned_per_environment
@@ -35,5 +35,5 @@ INNER JOIN study_trials
     AND study_trials.agent = choices.agent
     AND study_trials.environment = choices.environment
     AND study_trials.setting = choices.setting
-WHERE choices.by IN (SELECT selections.by FROM selections WHERE selections.study = choices.study)
-    OR choices.study NOT IN (SELECT study FROM selections)
+INNER JOIN study_rules ON study_rules.study = choices.study
+WHERE LIST_CONTAINS(study_rules.by, choices.by)

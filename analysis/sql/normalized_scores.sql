@@ -1,16 +1,32 @@
 -- One row per (study, stage, agent, environment, setting, normalizer).
 -- Thesis 6.2.1: the mean over seeds of the normalized score of a run, p, by four normalizers, on the scale of the study's tuning runs:
 -- thesis 1 - (G* - p) / |G*|; minmax and percentile (p - low) / (high - low); cdf the mean over agents of the share of the agent's
--- runs with a score strictly below p. NULL where that is undefined: G* is 0, or settings do not differ.
+-- runs with a score strictly below p, of the runs that the study's selection was made with (normalizer cdf), else of those of all
+-- complete settings. NULL where that is undefined: G* is 0, or settings do not differ.
 -- num_seeds counts the runs with a score.
 WITH runs AS MATERIALIZED (
     SELECT study, stage, agent, environment, setting, trial, score, is_complete
     FROM run_scores
 ),
+constants AS (
+    SELECT study, environment, CAST(ANY_VALUE(constants) -> '$.run_scores' AS MAP(VARCHAR, DOUBLE[])) AS run_scores
+    FROM selections
+    WHERE normalizer = 'cdf'
+    GROUP BY study, environment
+),
+frozen AS (
+    SELECT study, environment, known.key AS agent, UNNEST(known.value) AS score
+    FROM (SELECT study, environment, UNNEST(MAP_ENTRIES(run_scores)) AS known FROM constants)
+),
+tuning AS (
+    SELECT runs.study, runs.environment, runs.agent, runs.score
+    FROM runs
+    ANTI JOIN frozen ON frozen.study = runs.study AND frozen.environment = runs.environment
+    WHERE runs.stage = 'tune' AND runs.is_complete AND runs.score IS NOT NULL
+),
 pool AS (
     SELECT study, environment, agent, score, COUNT(*) AS num_runs
-    FROM runs
-    WHERE stage = 'tune' AND is_complete AND score IS NOT NULL
+    FROM (SELECT * FROM frozen UNION ALL SELECT * FROM tuning)
     GROUP BY study, environment, agent, score
 ),
 agents AS (
@@ -20,7 +36,11 @@ agents AS (
 ),
 compared AS (
     SELECT scores.study, scores.environment, scores.score, agents.agent, agents.num_runs AS num_all, COALESCE(pool.num_runs, 0) AS num_equal
-    FROM (SELECT DISTINCT study, environment, score FROM runs WHERE score IS NOT NULL) AS scores
+    FROM (
+        SELECT study, environment, score FROM runs WHERE score IS NOT NULL
+        UNION
+        SELECT study, environment, score FROM pool
+    ) AS scores
     INNER JOIN agents ON agents.study = scores.study AND agents.environment = scores.environment
     LEFT JOIN pool
         ON pool.study = scores.study

@@ -1,11 +1,11 @@
 -- One row per (study, stage, agent, environment, setting).
 -- Thesis 6.2: a setting's score is the unweighted mean over seeds of a score of each trial: episode_mean (mean over its completed
 -- episodes), step_mean (mean over the steps in them) or final_mean (over the last tenth of those steps). Diverged trials are among
--- the seeds, at the worst return of the environment in this store. num_seeds counts the seeds behind the means,
+-- the seeds, at the worst return of the environment in the study's tuning trials. num_seeds counts the seeds behind the means,
 -- num_planned those that the study asks for; a setting none of whose seeds is there yet has 0 and NULL.
 -- _low and _high bound a 95 % Student-t interval, which needs two seeds.
-WITH hyperparameters AS (
-    SELECT study, stage, agent, environment, setting, ANY_VALUE(COLUMNS(* EXCLUDE (study, stage, trial, setting, agent, environment, seed)))
+WITH conditions AS (
+    SELECT study, stage, agent, environment, setting, ANY_VALUE(steps) AS steps
     FROM members
     GROUP BY study, stage, agent, environment, setting
 ),
@@ -29,7 +29,9 @@ summaries AS (
     GROUP BY study, stage, agent, environment, setting
 )
 SELECT
-    hyperparameters.*,
+    conditions.* EXCLUDE (steps),
+    setting_hyperparameters.* EXCLUDE (study, agent, environment, setting),
+    conditions.steps,
     summaries.num_seeds,
     summaries.num_planned,
     summaries.num_diverged,
@@ -46,5 +48,6 @@ SELECT
     summaries.final_mean - student_quantiles.quantile * summaries.final_mean_standard_error AS final_mean_low,
     summaries.final_mean + student_quantiles.quantile * summaries.final_mean_standard_error AS final_mean_high
 FROM summaries
-INNER JOIN hyperparameters USING (study, stage, agent, environment, setting)
+INNER JOIN conditions USING (study, stage, agent, environment, setting)
+INNER JOIN setting_hyperparameters USING (study, agent, environment, setting)
 ASOF LEFT JOIN student_quantiles ON student_quantiles.degrees_of_freedom <= summaries.num_seeds - 1

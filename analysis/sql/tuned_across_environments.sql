@@ -173,12 +173,7 @@ tuned AS (
     FROM computed
     INNER JOIN study_rules USING (study)
     LEFT JOIN setting_edges USING (study, agent, environment, setting)
-),
-planned AS (
-    SELECT study, agent, environment, setting, ANY_VALUE(COLUMNS(* EXCLUDE (study, stage, trial, setting, agent, environment, seed, steps)))
-    FROM members
-    GROUP BY study, agent, environment, setting
 )
-SELECT tuned.*, tuned.source = 'selection' AS is_frozen, planned.* EXCLUDE (study, agent, environment, setting)
+SELECT tuned.*, tuned.source = 'selection' AS is_frozen, setting_hyperparameters.* EXCLUDE (study, agent, environment, setting)
 FROM tuned
-LEFT JOIN planned USING (study, agent, environment, setting)
+LEFT JOIN setting_hyperparameters USING (study, agent, environment, setting)

@@ -87,7 +87,7 @@ def aggregate(
     """
     statistic = find(name)
     groups = [take_tasks(scores, name)]
-    return _estimate(lambda drawn: statistic(drawn), groups, confidence, paired, tasks, resamples, seed)
+    return _estimate(statistic, groups, confidence, paired, tasks, resamples, seed)
 
 
 def aggregate_difference(

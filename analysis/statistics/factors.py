@@ -48,22 +48,29 @@ class Factors:
         return ", ".join(parts)
 
 
-def find_factors(hypers: Mapping[str, Sequence[Any]], together: Iterable[Sequence[str]] = ()) -> Factors:
+def find_factors(
+    hypers: Mapping[str, Sequence[Any]],
+    together: Iterable[Sequence[str]] = (),
+    planned: Mapping[str, Sequence[Any]] | None = None,
+) -> Factors:
     """Return the axes of settings, in the order of `hypers`; hyperparameters with one value are left out.
 
-    `together`: groups of names that are one axis each. Raises UserError for an unknown name there, or one that is in two groups.
+    `together`: groups of names that are one axis each. `planned`: the values of all settings of the grid where `hypers` are
+    those of a part of it, in which hyperparameters may happen to vary together that do not in the grid. Raises UserError for an
+    unknown name there, or one that is in two groups.
     """
     groups = [list(group) for group in together]
     _check(hypers, [name for group in groups for name in group])
     varying = {name: [_plain(value) for value in values] for name, values in hypers.items()}
     varying = {name: values for name, values in varying.items() if len(levels(values)) > 1}
+    grid = {name: [_plain(value) for value in (planned or hypers)[name]] for name in varying}
     axes: list[list[str]] = []
-    for name, values in varying.items():
+    for name in varying:
         group = next((group for group in groups if name in group), None)
         if group is not None:
             own = [axis for axis in axes if axis[0] in group]
         else:
-            own = [axis for axis in axes if determines(varying[axis[0]], values) and determines(values, varying[axis[0]])]
+            own = [axis for axis in axes if _are_one(grid[axis[0]], grid[name])]
         if own:
             own[0].append(name)
         else:
@@ -106,6 +113,10 @@ def on_full_grid(scores: np.ndarray, factors: Factors, what: str) -> np.ndarray:
 def determines(values: Sequence[Any], others: Sequence[Any]) -> bool:
     """Return whether settings with equal `values` have equal `others`."""
     return len(set(zip(values, others, strict=True))) == len(set(values))
+
+
+def _are_one(values: Sequence[Any], others: Sequence[Any]) -> bool:
+    return determines(values, others) and determines(others, values)
 
 
 def levels(values: Iterable[Any]) -> list[Any]:

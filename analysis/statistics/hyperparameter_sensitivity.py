@@ -138,6 +138,7 @@ def effective_dimensionality(
     *,
     normalizer: str,
     together: Iterable[Sequence[str]] = (),
+    planned: Mapping[str, Sequence[Any]] | None = None,
     share: float = 0.95,
     paired: bool = True,
     resamples: int = 1_000,
@@ -145,8 +146,9 @@ def effective_dimensionality(
 ) -> Dimensionality:
     """Return how many of the hyperparameters (`hypers`: name → value of each of H settings) need tuning, of scores [E, H, S].
 
-    Those that always vary together are one, as are those named in `together`. In resamples the compromise is chosen anew.
-    Raises UserError where 0 of the normalizer means nothing, the tuned score is not positive, more than 12 hyperparameters vary,
+    Those that always vary together are one, as are those named in `together`; `planned` are the values of all settings of the
+    grid, where `scores` are of a part. The grid need not be full. In resamples the compromise is chosen anew. Raises UserError
+    where nothing varies, 0 of the normalizer means nothing, the tuned score is not positive, more than 12 hyperparameters vary,
     or as `sensitivity` does.
     """
     if normalizer not in ZERO_ANCHORED:
@@ -155,7 +157,9 @@ def effective_dimensionality(
             f"is not the low end of a scale; choose one of {', '.join(ZERO_ANCHORED)}"
         )
     scores = need_complete(scores, "an effective dimensionality", "EHS")
-    factors = find_factors(hypers, together)
+    factors = find_factors(hypers, together, planned)
+    if not factors.names:
+        raise UserError("an effective dimensionality needs a hyperparameter that varies, and these settings have none")
     if len(factors.names) > _MOST_FACTORS:
         raise UserError(
             f"an effective dimensionality tries all subsets of at most {_MOST_FACTORS} hyperparameters, not {len(factors.names)}"

@@ -48,15 +48,17 @@ def build(connection: duckdb.DuckDBPyConnection, study: str, options: Options) -
     """Differences of mean scores, the first side less the second: a row for each pair of agents under each tuning regime, and
     for each agent's settings tuned per environment less those tuned across environments (the price of one setting for all),
     on each environment in units of the score, and over all environments that both have (environment all) of normalized
-    scores. Runs are those of the evaluation stage, or the tuning runs of a study without one; diverged runs count as the worst
-    return of the environment. Where both sides have the same seeds, runs are paired by seed: the 95 % interval is a percentile
+    scores. Runs are those of the evaluation stage, or the tuning runs of a study without one; diverged runs count by the study's
+    rule (worst return, or left out).
+    Where both sides have the same seeds, runs are paired by seed: the 95 % interval is a percentile
     bootstrap of the differences (10,000 resamples of seeds, drawn jointly for all environments) and the p-value that of the
     paired permutation test; otherwise both are Welch's, and over all environments the interval is a stratified bootstrap
     without a p-value. p_superiority is the probability that a run of the first side is better than one of the second (ties half;
     over environments: the mean of each), cohens_d the difference in pooled standard deviations, p_holm the p-value after Holm's
     correction within its family of num_tests. Where both sides are the same runs the difference is 0 and nothing is tested.
     """
-    chosen = load_chosen(connection, study, options)
+    every = load_chosen(connection, study, options)
+    chosen = every.scored()
     contrasts = list(_contrasts(chosen))
     if not contrasts:
         raise NoDataError(
@@ -73,7 +75,13 @@ def build(connection: duckdb.DuckDBPyConnection, study: str, options: Options) -
         if normalized and len(contrast.first.runs) > 1:
             rows.append(_over_all(_find(normalized, contrast), normalized.normalizer, options.seed))
     _correct(rows)
-    notes = [_headline(chosen, normalized, options.seed), *lacking, *(normalized or chosen).notes(), *_notes(rows)]
+    notes = [
+        _headline(chosen, normalized, options.seed),
+        *lacking,
+        *(normalized or chosen).notes(),
+        *_unscored(every),
+        *_notes(rows),
+    ]
     return Table(pd.DataFrame(rows), notes, chosen.sql)
 
 
@@ -91,6 +99,10 @@ def _notes(rows: list[dict[str, Any]]) -> list[str]:
     if any(row["interval"] == "Welch" or row["interval"].startswith("stratified") for row in rows):
         lines.append("where the two sides have different seeds, runs are not paired")
     return lines
+
+
+def _unscored(chosen: ChosenRuns) -> list[str]:
+    return [f"{line}: no comparison there" for line in chosen.unscored]
 
 
 def _contrasts(chosen: ChosenRuns) -> Iterator[_Contrast]:

@@ -59,8 +59,9 @@ def build(connection: duckdb.DuckDBPyConnection, study: str, options: Options) -
     to each pair beyond that, and to all higher interactions (exact functional ANOVA on the full grid). The variance of
     means that noise alone gives, σ²/n, is removed in proportion to the degrees of freedom: a share may be negative, which
     means no effect that these runs can show. 95 % percentile intervals over 1,000 bootstrap resamples of the tuning seeds,
-    the same for all settings. Diverged runs count as the environment's worst return. Hyperparameters that do not vary
-    independently (a `zip`) are one factor. An incomplete grid is refused.
+    the same for all settings. Diverged runs count by the study's rule (worst return, or left out); where any
+    is left out settings have different seeds, which is refused. Hyperparameters that the study did not vary independently (a
+    `zip`) are one factor. An incomplete grid is refused.
     """
     scope = find_scope(connection, study, options)
     measured = measure(connection, scope, options.seed)
@@ -120,13 +121,18 @@ def notes(scope: Scope, measured: Sequence[Measured], seed: int) -> list[str]:
 
 
 def crossed_groups(hypers: Mapping[str, Sequence[Any]]) -> tuple[tuple[str, ...], ...]:
-    """Return groups of hyperparameters (two names at least) some pair of which lacks combinations, as a `zip` does."""
+    """Return groups of hyperparameters (two names at least) that a study, by its planned settings, did not cross, as in a `zip`.
+
+    Two are not crossed where so few pairs of values are planned, a + b − 1 at most of a · b, that no four need form a square:
+    nothing could tell their effects apart. A grid that only lacks some pairs is none.
+    """
     names = list(hypers)
     group = {name: {name} for name in names}
     for index, first in enumerate(names):
         for second in names[index + 1 :]:
             pairs = set(zip(hypers[first], hypers[second], strict=True))
-            if len(pairs) < len(set(hypers[first])) * len(set(hypers[second])):
+            sizes = len(set(hypers[first])), len(set(hypers[second]))
+            if min(sizes) > 1 and len(pairs) < sum(sizes):
                 merged = group[first] | group[second]
                 group.update(dict.fromkeys(merged, merged))
     found = {tuple(name for name in names if name in group[first]): None for first in names}
@@ -136,6 +142,8 @@ def crossed_groups(hypers: Mapping[str, Sequence[Any]]) -> tuple[tuple[str, ...]
 def _one(connection: duckdb.DuckDBPyConnection, scope: Scope, agent: str, environment: str, seed: int) -> Measured:
     try:
         loaded = scores.load(connection, scope.study, agent, environment, scope.score)
+        if loaded.dropped.any():
+            return Measured(agent, environment, None, _describe_dropped(loaded))
         if not loaded.complete:
             return Measured(agent, environment, None, _describe_incomplete(loaded))
         found, joined = _decompose(loaded, seed)
@@ -153,6 +161,14 @@ def _decompose(loaded: scores.SettingScores, seed: int) -> tuple[Importance, tup
         if not joined or len(find_factors(loaded.hypers, joined).names) < 2:
             raise
     return decompose(loaded.values, loaded.hypers, together=joined, resamples=RESAMPLES, seed=seed), joined
+
+
+def _describe_dropped(loaded: scores.SettingScores) -> str:
+    lacking = int(loaded.dropped.any(axis=1).sum())
+    return (
+        f"{lacking:,} of {counted(len(loaded.settings), 'setting')} lack runs that diverged, which the study's rule leaves out, "
+        "and an importance needs the same seeds of all settings"
+    )
 
 
 def _describe_incomplete(loaded: scores.SettingScores) -> str:

@@ -62,7 +62,8 @@ def build(connection: duckdb.DuckDBPyConnection, study: str, options: Options) -
     settings here and that one. In the row that leaves an environment out, `floor` is N of the environment's worst return, and
     `spread_share` its part of what tells an agent's settings apart: highest − lowest mean, as a share of the sum over
     environments. Equal weights would be equal shares; the thesis' normalizer has none. Scores are means over the tuning seeds,
-    without intervals; a diverged run counts as the environment's worst return; settings that lack a run are left out.
+    without intervals; diverged runs count
+    by the study's rule (worst return, or left out); settings that lack a run are left out.
     """
     scope = find_scope(connection, study, options)
     own = find_rule(connection, study, "normalizer")
@@ -102,7 +103,7 @@ def _scale(connection: duckdb.DuckDBPyConnection, scope: Scope, agent: str, norm
         connection.execute("SELECT environment, worst_return FROM worst_returns WHERE study = ?", [scope.study]).fetchall()
     )
     floors = [scale.normalize(place, [worst[place]])[0] if place in worst else np.nan for place in loaded.environments]
-    return Scaled(loaded, loaded.values.mean(axis=-1), np.array(floors))
+    return Scaled(loaded, loaded.means, np.array(floors))
 
 
 def _rows(study: str, normalizer: str, scaled: Scaled, own: Scaled) -> list[dict[str, Any]]:

@@ -37,9 +37,10 @@ def build(connection: duckdb.DuckDBPyConnection, study: str, options: Options) -
     bootstrap resamples that it wins, and the number of settings that win at least 5 % (`uncertainty_set`); its `lead` on the
     runner-up with a 95 % paired percentile interval. Its `tuning_mean` is too good: by how much, the `bias_…` columns estimate,
     from the bootstrap (too little where settings are alike), from choosing on half of the seeds and scoring on the others (that
-    of a choice on half as many runs) and as the largest of so many equally good settings with normal noise would have it
-    (an upper end). `evaluation_mean` is the winner's mean on fresh seeds, with a 95 % Student interval. Seeds are resampled, the
-    same for all settings. Diverged runs count as the environment's worst return; settings that lack a run are left out.
+    of a choice on half as many runs) and as the largest of so many equally good settings with normal noise would have it (an
+    upper end). `evaluation_mean` is the winner's mean on fresh seeds, with a 95 % Student interval. Seeds are resampled, the
+    same for all settings. Diverged runs count by the study's rule (worst return, or left out); where any is left out settings
+    have different seeds, and there are neither probabilities nor intervals. Settings that lack a run are left out.
     """
     scope = find_scope(connection, study, options)
     regimes = [options.by] if options.by else list(REGIMES)
@@ -75,7 +76,10 @@ def _try(lines: list[str], label: str, measure: Any, *arguments: Any) -> list[di
     if left_out:
         lines.append(f"{label}: {counted(left_out, 'setting')} left out: without all runs, or not on all environments")
     if np.isnan(row["win_probability"]) and row["num_settings"] > 1:
-        lines.append(f"{label}: one tuning seed: nothing to resample, so neither probabilities nor intervals")
+        reason = (
+            "one tuning seed" if row["num_seeds"] == 1 else "diverged runs are left out, so that settings differ in their seeds"
+        )
+        lines.append(f"{label}: {reason}: nothing to resample, so neither probabilities nor intervals")
     return [row]
 
 
@@ -85,7 +89,7 @@ def _per_environment(
     loaded = scores.load(connection, scope.study, agent, environment, scope.score)
     kept = loaded.without_incomplete()
     row = {"study": scope.study, "by": REGIMES[0], "agent": agent, "environment": environment}
-    row |= _choice(kept.values, kept.settings, seed)
+    row |= _choice(kept.values, kept.means, kept.settings, seed)
     row |= _evaluation(_evaluation_runs(connection, scope, agent, environment, row["setting"]))
     return row, len(loaded.settings) - len(kept.settings)
 
@@ -101,16 +105,27 @@ def _across(
     )
     kept = loaded.without_incomplete()
     names = [" ".join(sorted(set(hashes))) for hashes in kept.settings]
-    row = {"study": scope.study, "by": REGIMES[1], "agent": agent, "environment": f"{len(environments)} environments"}
-    row |= _choice(kept.values.mean(axis=0), names, seed)
+    row: dict[str, Any] = {
+        "study": scope.study,
+        "by": REGIMES[1],
+        "agent": agent,
+        "environment": f"{len(environments)} environments",
+    }
+    row |= _choice(kept.values.mean(axis=0), kept.means.mean(axis=0), names, seed)
     chosen = dict(zip(kept.environments, kept.settings[names.index(row["setting"])], strict=True))
-    row |= _evaluation(_evaluation_across(connection, scope, agent, normalizer, chosen))
+    evaluated = _evaluation_across(connection, scope, agent, normalizer, chosen)
+    row |= _evaluation(evaluated.values.mean(axis=0) if evaluated else np.array([]))
+    if evaluated and evaluated.dropped.any():  # environments differ in their seeds: no mean of a seed over all of them
+        row["evaluation_mean"] = float(scores.mean_scores(evaluated.values).mean())
+        row["evaluation_low"] = row["evaluation_high"] = np.nan
     return row, loaded.num_left_out + len(loaded.settings) - len(kept.settings)
 
 
-def _choice(values: np.ndarray, names: Sequence[str], seed: int) -> dict[str, Any]:
-    """Return the columns of a choice among settings [H, S]; NaN where there is nothing to resample or to choose from."""
-    means = values.mean(axis=1)
+def _choice(values: np.ndarray, means: np.ndarray, names: Sequence[str], seed: int) -> dict[str, Any]:
+    """Return the columns of a choice among settings [H, S] by their means [H], with NaN where there is nothing to resample.
+
+    There is nothing where there is one seed, or settings have different ones because diverged runs are left out (NaN).
+    """
     winner = int(winners(means))
     row: dict[str, Any] = {
         "num_settings": len(values),
@@ -123,6 +138,8 @@ def _choice(values: np.ndarray, names: Sequence[str], seed: int) -> dict[str, An
         "tuning_mean": float(means[winner]),
         **dict.fromkeys(("bias_bootstrap", "bias_split_half", "bias_gaussian", "noise"), np.nan),
     }
+    if not np.isfinite(values).all():
+        return row
     try:
         found = bootstrap_selection(values, resamples=RESAMPLES, seed=seed)
         bias = maximization_bias(values, resamples=RESAMPLES, seed=seed)
@@ -144,7 +161,7 @@ def _evaluation_runs(
     rows = connection.execute(
         f"""
         SELECT {scope.score}
-        FROM study_trials
+        FROM run_scores
         WHERE study = ? AND stage = 'evaluate' AND agent = ? AND environment = ? AND setting = ?
         ORDER BY seed
         """,
@@ -155,18 +172,17 @@ def _evaluation_runs(
 
 def _evaluation_across(
     connection: duckdb.DuckDBPyConnection, scope: Scope, agent: str, normalizer: str, chosen: dict[str, str]
-) -> np.ndarray:
-    """Return the mean normalized score of each evaluation seed, empty where the study evaluated another choice."""
+) -> scores.ChoiceScores | None:
+    """Return the normalized scores of the evaluation runs, None where there are none or the study evaluated another choice."""
     frozen = connection.execute(
         'SELECT environment, setting FROM selections WHERE study = ? AND agent = ? AND "by" = ?', [scope.study, agent, REGIMES[1]]
     ).fetchall()
     if dict(frozen) != chosen:
-        return np.array([])
+        return None
     try:
-        runs = scores.load_evaluated(connection, scope.study, agent, score=scope.score, normalizer=normalizer)
+        return scores.load_choice(connection, scope.study, agent, REGIMES[1], score=scope.score, normalizer=normalizer)
     except UserError:
-        return np.array([])
-    return runs.compromise.mean(axis=0)
+        return None
 
 
 def _evaluation(runs: np.ndarray) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from analysis.figures.options import NoDataError, Options
 from analysis.figures.scope import Scope, describe_progress, find_scope
 from analysis.figures.sensitivity_data import run_scores
 from analysis.statistics.estimate import Estimate, TooFewRunsError
+from analysis.statistics.factors import find_factors
 from analysis.statistics.hyperparameter_sensitivity import (
     ZERO_ANCHORED,
     Dimensionality,
@@ -21,7 +22,6 @@ from analysis.statistics.hyperparameter_sensitivity import (
     plane_region,
     sensitivity,
 )
-from analysis.tables.importance import crossed_groups
 from analysis.tables.table import Table
 from analysis.tuning_scale import find_normalizer
 from sweep.messages import UserError, counted
@@ -73,7 +73,8 @@ def build(connection: duckdb.DuckDBPyConnection, study: str, options: Options) -
     the best score of each number. `region` is relative to the reference agent, SAC or the first. The percentile normalizer
     unless another is asked for: 0 is the 5th, 1 the 95th percentile of all settings of all agents on an environment. 95 %
     percentile intervals over 10,000 bootstrap resamples of the seeds, the same for all settings and environments; 1,000 for the
-    dimensionality. Diverged runs count as the environment's worst return. All of these are maxima over noisy means: Φ is above
+    dimensionality. Diverged runs count by the study's rule (worst return, or left out); where
+    any is left out settings have different seeds, which is refused. All of these are maxima over noisy means: Φ is above
     0 by luck alone. The columns `evaluated_…` are without that luck: the settings chosen per environment and across
     environments by the study's selection, on evaluation seeds.
     """
@@ -145,7 +146,7 @@ def notes(scope: Scope, normalizer: str, measured: Sequence[Measured], seed: int
                 f"{one.agent}: on {phi.num_runs} evaluation seeds, without the luck of a choice: sensitivity {phi.value:.4g} in "
                 f"[{phi.low:.4g}, {phi.high:.4g}]"
             )
-        lines += [f"{one.agent}: {' & '.join(names)} do not vary independently: one hyperparameter here" for names in one.joined]
+        lines += [f"{one.agent}: {' & '.join(names)} always vary together: one hyperparameter here" for names in one.joined]
         lines += [f"{one.agent}: {reason}" for reason in one.missing]
     if scope.seeds < _FEW:
         lines.append(f"warning: bootstrap intervals of {counted(scope.seeds, 'seed')} are too narrow; ten are customary")
@@ -172,16 +173,24 @@ def _one(
             connection, scope.study, agent, score=scope.score, normalizer=normalizer, environments=environments
         )
         kept = loaded.without_incomplete()
+        if kept.dropped.any():
+            raise UserError(
+                "a sensitivity needs the same seeds of all settings, and the study's rule leaves out runs that diverged"
+            )
         found = sensitivity(kept.values, resamples=RESAMPLES, seed=seed)
     except TooFewRunsError as error:
         return Measured(agent, environments, None, missing=(f"{error}: needs at least two tuning seeds",))
     except UserError as error:
         return Measured(agent, environments, None, missing=(str(error),))
     missing, dimensionality, evaluation = [*reasons], None, None
-    joined = crossed_groups(kept.hypers)
+    # of the planned grid: among settings that happen to have their runs, hyperparameters may vary together by chance
+    factors = find_factors(kept.hypers, planned=loaded.hypers)
+    joined = tuple(names for names in factors.names if len(names) > 1)
     if with_dimensionality:
         try:
-            dimensionality = effective_dimensionality(kept.values, kept.hypers, normalizer=normalizer, together=joined, seed=seed)
+            dimensionality = effective_dimensionality(
+                kept.values, kept.hypers, planned=loaded.hypers, normalizer=normalizer, seed=seed
+            )
         except UserError as error:
             missing.append(str(error))
     try:
@@ -231,6 +240,8 @@ def _evaluation(
     lacking = [place for place in environments if place not in runs.environments]
     if lacking:
         raise UserError(f"nothing is chosen on {', '.join(lacking)}")
+    if runs.num_dropped:
+        raise UserError("both choices need the same seeds, and the study's rule leaves out runs that diverged")
     places = [runs.environments.index(place) for place in environments]
     return evaluated(runs.tuned[places], runs.compromise[places], resamples=RESAMPLES, seed=seed)
 

@@ -85,7 +85,11 @@ def studies(connection: duckdb.DuckDBPyConnection, options: Options) -> list[str
     rows = connection.execute(
         f"SELECT study, agent, environment, is_frozen, num_settings FROM {view} ORDER BY NOT is_frozen, num_settings = 1, study"
     ).fetchall()
-    return list(dict.fromkeys(study for study, agent, environment, *_ in rows if options.keeps(agent, environment)))
+    found = list(dict.fromkeys(study for study, agent, environment, *_ in rows if options.keeps(agent, environment)))
+    if found or options.by != REGIMES[1]:
+        return found
+    planned = [row[0] for row in connection.execute("SELECT DISTINCT study FROM members ORDER BY study").fetchall()]
+    return [study for study in planned if _undefined(connection, study)]  # so that it says why
 
 
 def build(connection: duckdb.DuckDBPyConnection, study: str, options: Options) -> Table:
@@ -124,6 +128,9 @@ def _per_environment(connection: duckdb.DuckDBPyConnection, study: str, options:
         notes.append("no evaluation runs: the means are of the runs that the settings were chosen by, and too high")
     for row in data.to_dict("records"):
         notes += _row_notes(f"{row['agent']} on {row['environment']}" + _chosen_for(row), row)
+    notes += _divergence(
+        connection, study, [(row["agent"], row["environment"], row["setting"]) for row in data.to_dict("records")]
+    )
     return Table(_shown(data), notes, sql)
 
 
@@ -151,6 +158,12 @@ def _across(connection: duckdb.DuckDBPyConnection, study: str, options: Options,
         for name, value in zip(_SCORED, values, strict=True):
             found[name].append(value)
         notes += _row_notes(where, row)
+    chosen = [
+        (row["agent"], *place)
+        for row in data.to_dict("records")
+        for place in zip(row["environments"], row["settings"], strict=True)
+    ]
+    notes += _divergence(connection, study, chosen)
     if not any(found["num_evaluation_seeds"]):
         notes.insert(1, "no evaluation runs: the scores are of the runs that the settings were chosen by, and too high")
     scored = pd.DataFrame(found, dtype="Float64")
@@ -219,6 +232,26 @@ def _row_notes(where: str, row: Row) -> list[str]:
     if row["num_settings"] == 1:
         lines.append(f"{where}: one setting, nothing to choose from")
     return lines
+
+
+def _divergence(connection: duckdb.DuckDBPyConnection, study: str, chosen: list[tuple[str, str, str]]) -> list[str]:
+    """Return a line for each chosen setting (agent, environment, setting) of which runs diverged: its score is no performance."""
+    rows = connection.execute(
+        """
+        SELECT agent, environment, setting, stage, num_diverged, num_planned
+        FROM settings
+        WHERE study = ? AND num_diverged > 0
+        ORDER BY agent, environment, stage DESC
+        """,
+        [study],
+    ).fetchall()
+    stages = {"tune": "tuning", "evaluate": "evaluation"}
+    return [
+        f"{agent} on {environment}: {diverged} of {planned} {stages[stage]} runs of the chosen setting diverged"
+        + ("; its score says nothing" if diverged == planned else "")
+        for agent, environment, setting, stage, diverged, planned in rows
+        if (agent, environment, setting) in set(chosen)
+    ]
 
 
 def _chosen_for(row: Row) -> str:

@@ -36,8 +36,8 @@ def analyze(
     format: Annotated[
         str | None,
         typer.Option(
-            help="Figures: png, svg, pdf, csv (the numbers), sql (the query). Tables: csv, json, markdown, parquet, sql. "
-            "Several with commas. Default: png and csv."
+            help="Figures: png, svg, pdf, csv (its numbers), sql (the query of what it is made from). Tables: csv, json, "
+            "markdown, parquet, sql. Several with commas. Default: png for figures, csv for tables."
         ),
     ] = None,
     x: Annotated[str | None, typer.Option(help="Hyperparameter of the horizontal axis.")] = None,
@@ -57,6 +57,8 @@ def analyze(
     from analysis.figures.options import Options
     from sweep.store import Store
 
+    if list_ + all_ + bool(figure or table) > 1:
+        raise UserError("analyze: --list, --all and names of figures or tables exclude one another")
     if list_:
         for line in ["figures", *analysis.list_figures(), "", "tables", *analysis.list_tables()]:
             typer.echo(line)
@@ -68,11 +70,15 @@ def analyze(
         x=x, over=over, by=by, score=score, normalizer=normalizer, band=band, seed=seed,
         agents=tuple(agent or ()), environments=tuple(environment or ()),
     )  # fmt: skip
-    formats = [part.strip() for part in format.split(",")] if format else []
+    formats = [part.strip() for part in format.split(",")] if format is not None else []
     needs_store = any(analysis.needs_store(entry) for entry in entries)
     folder = Store.open(store).path if needs_store else None
-    for result in analysis.analyze(folder, entries, study, out, formats, options, _demonstrate, skip_missing=all_):
+    results = analysis.analyze(folder, entries, study, out, formats, options, _demonstrate, skip_missing=all_)
+    for result in results:
         _report(result, several=len(entries) > 1)
+    if all_:
+        made = sum(not result.missing for result in results)
+        typer.echo(f"{made} figures and tables in {out}; {len(results) - made} left out")
 
 
 def _demonstrate(name: str, seed: int) -> list[dict[str, Any]]:

@@ -77,7 +77,21 @@ def networks_of(thing):
             yield from networks_of(part)
 
 
-@pytest.mark.parametrize("shared", [{}, {"hidden_layers": (10, 33, 7), "batch_size": 5}, {"hidden_layers": (64, 64, 64)}])
+UNEVEN, WIDE = {"hidden_layers": (10, 33, 7), "batch_size": 5}, {"hidden_layers": (64, 64, 64)}
+
+
+@pytest.mark.parametrize(
+    ("engine", "shared"),
+    [
+        ("auto", {}),
+        ("auto", UNEVEN),
+        ("auto", WIDE),
+        ("torch", {}),
+        pytest.param("torch", UNEVEN, marks=pytest.mark.slow),
+        pytest.param("torch", WIDE, marks=pytest.mark.slow),
+    ],
+    indirect=["engine"],
+)
 @pytest.mark.parametrize(("algorithm", "environment"), ONE_OF_EACH_KIND)
 def test_every_parameter_of_an_agent_is_the_same_alone_and_in_a_crowd(algorithm, environment, shared, monkeypatch, engine):
     """Returns could hide a difference in the last bit; parameters after 100 updates cannot."""

@@ -1,6 +1,8 @@
 """`sweep export`: a study's rows as files that pandas, polars and DuckDB read without this package."""
 
+import csv
 import hashlib
+import io
 import json
 import math
 
@@ -13,6 +15,7 @@ import pytest
 from synthetic_store import SyntheticStore
 
 from analysis import connect, export
+from analysis.formats import format_result
 from sweep.messages import UserError
 
 TABLES = ("trials", "episodes", "evaluations", "members", "selections")
@@ -95,6 +98,28 @@ def test_a_text_that_a_spreadsheet_would_run_as_a_formula_is_quoted_in_csv_alone
     hostile = "=cmd|' /C calc'!A0"
     assert hostile in pd.read_parquet(tmp_path / "p" / "trials.parquet")["host"].tolist()
     assert f"'{hostile}" in pd.read_csv(tmp_path / "c" / "trials.csv")["host"].tolist()
+
+
+def test_texts_are_disarmed_as_sweep_sql_does_and_numbers_are_not():
+    texts = ["-1.0", "+.5", "-1e-05", "-inf", "-1+2", "-1.0\n", "--1", "-", "@x", "=1", "ok", "", None]
+    exported = export._csv_column(pa.array(texts)).to_pylist()
+    expected = list(csv.reader(io.StringIO(format_result(pa.table({"text": texts}), "csv").decode())))[1:]
+    assert exported[:5] == ["-1.0", "+.5", "-1e-05", "-inf", "'-1+2"]
+    assert [text or "" for text in exported] == [row[0] if row else "" for row in expected]
+
+
+def test_rows_of_trials_are_asked_for_by_name_in_chunks(store, tmp_path, monkeypatch):
+    whole = export.export(store, ["first", "second"], tmp_path / "whole", steps=True)
+    monkeypatch.setattr(export, "_MOST_TRIALS", 2)
+    queries = export._queries(connect(store), "episodes", ["first", "second"])
+    assert [(query.count("SELECT"), query.count("', '")) for query in queries] == [(1, 1), (1, 0)]
+    chunks = export.export(store, ["first", "second"], tmp_path / "chunks", steps=True)
+    assert [one.rows for one in chunks] == [one.rows for one in whole]
+    for name in ("trials", "episodes", "steps"):
+        read = [pl.read_parquet(tmp_path / folder / f"{name}.parquet") for folder in ("whole", "chunks")]
+        keys = [column for column in ("trial", "episode", "step") if column in read[0].columns]
+        assert read[0].sort(keys).equals(read[1].sort(keys)), name
+    assert pl.read_parquet(tmp_path / "chunks" / "trials.parquet")["trial"].is_sorted()
 
 
 def test_the_table_of_contents_has_rows_columns_and_checksums(store, tmp_path):

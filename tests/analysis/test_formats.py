@@ -82,6 +82,17 @@ def test_csv_disarms_formulas_and_leaves_negative_numbers_alone():
     assert format_result(table, "csv").decode().splitlines()[1:] == ["'=HYPERLINK(1),-1.0", "'@x,-2.0", "ok,3.0"]
 
 
+@pytest.mark.parametrize("text", ["-1.0", "+.5", "-1e-05", "-3", "-inf", "1.", "nan"])
+def test_a_text_that_is_a_number_is_left_alone_in_csv(text):
+    assert format_result(pa.table({"value": [text]}), "csv").decode() == f"value\n{text}\n"
+
+
+@pytest.mark.parametrize("text", ["-1+2", "-1.0\n", "+1e", "--1", "-", "-cmd|x", "+1-1"])
+def test_a_text_that_only_begins_as_a_number_is_disarmed(text):
+    (row,) = list(csv.reader(io.StringIO(format_result(pa.table({"value": [text]}), "csv").decode())))[1:]
+    assert row == [f"'{text}"]
+
+
 def test_json_is_strict_and_nested_values_keep_their_form():
     rows = json.loads(format_result(TABLE, "json"), parse_constant=pytest.fail)
     assert rows[0] == {

@@ -15,7 +15,7 @@ from report_study import write
 from synthetic_store import SyntheticStore
 
 from analysis import report_exhibits
-from analysis.analyze import analyze, find
+from analysis.analyze import analyze, everything, find
 from analysis.report import report
 from analysis.report_page import csv_link, marked
 from sweep.failures import Failure
@@ -87,6 +87,39 @@ def test_the_checksum_is_that_of_the_csv_that_analyze_writes(tmp_path, few_exhib
     assert sums["table performance"] == hashlib.sha256((tmp_path / "table-performance.csv").read_bytes()).hexdigest()
 
 
+@pytest.mark.parametrize(
+    ("label", "name"),
+    [
+        ("figure 6.1", "Figure 6.1"),
+        ("table A.1", "Table A.1"),
+        ("figure learning-curve", "Learning curve"),
+        ("table tuned-settings (per-environment)", "Tuned settings (per-environment)"),
+        ("figure importance", "Importance of hyperparameters"),
+        ("table importance", "Shares of variance"),
+    ],
+)
+def test_readers_get_numbers_or_names_for_kinds(label, name):
+    assert report_exhibits.display_name(label) == name
+
+
+def test_no_two_figures_and_tables_have_the_same_name():
+    names = [
+        report_exhibits.display_name(("figure " if hasattr(one, "demonstration") else "table ") + one.name)
+        for one in everything()
+    ]
+    assert len(names) == len(set(names))
+
+
+def test_a_study_of_one_rule_shows_no_choices_of_the_other():
+    def asked(rule):
+        return {entry.name: by for entry, by in report_exhibits._wanted("mine", [rule])}
+
+    across, own = asked("across-environments"), asked("per-environment")
+    for name in ("learning-curve", "tuned-settings", "performance", "selection"):
+        assert (across[name], own[name]) == ("across-environments", "per-environment")
+    assert (across["evaluation-curve"], own["evaluation-curve"]) == ("across-environments", "")
+
+
 def test_large_csv_is_compressed_and_very_large_left_out():
     small, large = b"a,b\n1,2\n", b"a,b\n" + b"1,2\n" * 20_000
     link, suffix = csv_link(small)
@@ -136,7 +169,9 @@ def test_every_figure_has_its_caption_an_alternative_text_and_its_numbers(whole,
         assert one.title in image["alt"]
         assert float(image["width"]) > float(image["height"]) / 3 > 0
     text = made.html().decode()
-    assert "Table tuned-settings: " in text
+    assert "Tuned settings: Chosen settings" in text
+    assert "Learning curve: " in text
+    assert not re.search("(Figure|Table) [a-z]", text)
     for one in made.exhibits:
         assert one.sha256 in text
         assert str(marked(one.caption)) in text
@@ -165,6 +200,7 @@ def test_hostile_names_hosts_and_errors_are_shown_as_text(tmp_path, few_exhibits
     assert not re.search("[\u202e\x00\x1b]", text)
 
 
+@pytest.mark.slow
 def test_the_name_of_a_numbered_table_keeps_its_capital(real_reports):
     headings = [text for tag, text in page_of(real_reports["chapter-6"]).headings if tag == "h3"]
     assert "Table A.1: Settings tuned across environments" in headings
@@ -173,6 +209,14 @@ def test_the_name_of_a_numbered_table_keeps_its_capital(real_reports):
 def test_code_in_captions_is_marked_and_escaped():
     assert str(marked("see `a < b` & <i>")) == "see <code>a &lt; b</code> &amp; &lt;i&gt;"
     assert str(marked("`<b>`")) == "<code>&lt;b&gt;</code>"
+
+
+@pytest.mark.slow
+def test_the_whole_catalogue_is_on_the_page_of_a_study_of_ones_own(whole):
+    made = report(whole, "demo")
+    there = {one.label for one in made.exhibits} | {one.label.split(" (")[0] for one in made.left_out}
+    assert {"figure slice", "figure seed-spread", "table comparison"} <= there
+    assert [text for tag, text in page_of(made).headings if tag == "h2"] == SECTIONS
 
 
 def test_the_same_store_gives_the_same_bytes(whole, few_exhibits):
@@ -227,7 +271,7 @@ def best_return_is_zero(store):
         (best_return_is_zero, "normalizer", "has no value on MountainCar-CA, Pendulum-CA: G* is 0 there"),
     ],
 )
-def test_a_study_that_is_not_whole_has_a_page_that_says_so(fill, kind, text, tmp_path):
+def test_a_study_that_is_not_whole_has_a_page_that_says_so(fill, kind, text, tmp_path, few_exhibits):
     store = SyntheticStore(tmp_path)
     fill(store)
     made = report(store.write_studies(), "demo", pictures=False)
@@ -243,6 +287,7 @@ def test_an_unknown_study_is_answered_with_the_known_ones(whole):
         report(whole, "demi")
 
 
+@pytest.mark.slow
 def test_studies_of_the_real_store_have_their_own_figures_in_their_reports(real_reports):
     labels = {study: {one.label for one in made.exhibits} for study, made in real_reports.items()}
     for study, own in {
@@ -253,6 +298,7 @@ def test_studies_of_the_real_store_have_their_own_figures_in_their_reports(real_
         assert own <= labels[study], (own - labels[study], left_out)
 
 
+@pytest.mark.slow
 def test_every_exhibit_is_shown_or_left_out_with_a_reason(real_reports):
     for study, made in real_reports.items():
         wanted = {

@@ -167,6 +167,39 @@ def test_evaluation_seeds_that_were_tuning_seeds_are_the_first_warning(tmp_path)
     assert facts.overlap == [1]
 
 
+ONE_RULE = """
+[study]
+name = "demo"
+[seeds]
+tune = 2
+evaluate = 3
+[select]
+by = ["{}"]
+score = "final_mean"
+normalizer = "cdf"
+diverged = "drop"
+"""
+
+
+@pytest.mark.parametrize("rule", ["per-environment", "across-environments"])
+def test_only_the_rule_that_the_grid_asks_for_is_reported(rule, tmp_path):
+    path = write(tmp_path, evaluate=0).write_studies()
+    (path / "studies" / "demo" / "grid.toml").write_text(ONE_RULE.format(rule))
+    found = facts_of(path)
+    assert found.by == [rule]
+    assert found.rules == {"score": "final_mean", "normalizer": "cdf", "diverged": "drop"}
+    assert {row["by"] for row in found.choices} == {row["by"] for row in found.shown} == {rule}
+    assert warnings_of(found)["boundary"][0].numbers == {"on_edge": 2, "choices": 2}
+    said = methods(found, 0)
+    assert ("Tuned per environment:" in said, "Tuned across environments:" in said) == (
+        rule == "per-environment",
+        rule == "across-environments",
+    )
+    assert "the mean over the last tenth of environment steps" in said
+    weigh = answers(found)["Do environments weigh equally in what is chosen across them?"][0]
+    assert (weigh == "does not apply") == (rule == "per-environment")
+
+
 # methods and checklist
 
 

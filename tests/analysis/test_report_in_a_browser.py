@@ -8,7 +8,10 @@ import subprocess
 import threading
 
 import pytest
+from report_study import write
 
+from analysis import report_exhibits
+from analysis.analyze import find
 from analysis.report import report
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -43,12 +46,18 @@ def browse(folder, address, *flags):
     return ran.stdout, ran.stderr
 
 
-@pytest.fixture(scope="module")
-def page(real_store, tmp_path_factory):
-    """The report of a study with all figures of chapter 6, as a file."""
-    file = tmp_path_factory.mktemp("page") / "report.html"
-    file.write_bytes(report(real_store, "chapter-6").html())
-    return file
+@pytest.fixture(scope="module", params=["few", pytest.param("all", marks=pytest.mark.slow)])
+def page(request, tmp_path_factory):
+    """The report of a small study with a figure and two tables, and of one with all figures of chapter 6, as files."""
+    folder = tmp_path_factory.mktemp("page")
+    with pytest.MonkeyPatch.context() as patch:
+        if request.param == "few":
+            patch.setattr(report_exhibits, "everything", lambda: find(["learning-curve"], ["performance", "tuned-settings"]))
+            made = report(write(folder / "store").write_studies(), "demo")
+        else:
+            made = report(request.getfixturevalue("real_store"), "chapter-6")
+    (folder / "report.html").write_bytes(made.html())
+    return folder / "report.html"
 
 
 @contextlib.contextmanager

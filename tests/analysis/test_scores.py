@@ -13,6 +13,7 @@ from synthetic_store import SyntheticStore
 
 from analysis import connect
 from analysis.scores import load, load_across, load_evaluated
+from analysis.tuning_scale import find_normalizer
 from sweep import schema
 from sweep.messages import UserError
 from sweep.normalizers import UndefinedNormalizerError
@@ -200,3 +201,18 @@ def test_bad_requests_are_named(connection, tmp_path):
     store.finish(store.plan("demo", "SAC", CA, 0), [0])
     with pytest.raises(UndefinedNormalizerError, match=r"G\*, the highest return of an episode, is 0"):
         load_across(connect(store.write_studies()), "demo", "SAC", normalizer="thesis")
+
+
+def test_a_diverged_run_is_as_if_not_planned_for_a_study_that_drops_it(tmp_path):
+    store = SyntheticStore(tmp_path)
+    for x, scores in ((1.0, (4, math.nan)), (2.0, (5, 7)), (3.0, (math.nan, math.nan))):
+        for seed, score in enumerate(scores):
+            store.finish(store.plan("demo", "SAC", CA, seed, critic_step_size=x), [score])
+    path = store.write_studies()
+    (path / "studies" / "demo" / "grid.toml").write_text('[select]\ndiverged = "drop"\n')
+    connection = connect(path)
+    kept = load(connection, "demo", "SAC", CA).without_incomplete()
+    assert dict(zip(kept.hypers["critic_step_size"], kept.means, strict=True)) == {1.0: 4, 2.0: 6}
+    assert (kept.complete, int(kept.dropped.sum())) == (True, 1)
+    scale, _, _ = find_normalizer(connection, "demo", "episode_mean", "minmax", [CA])
+    assert scale.normalize(CA, [4, 6]) == pytest.approx([0, 1])

@@ -6,8 +6,11 @@ import pyarrow.parquet as pq
 import pytest
 from synthetic_store import STEPS, SyntheticStore
 
+from agents.registry import ALGORITHMS
 from analysis import connect
 from analysis.database import view_sources
+from sweep.grid import parse
+from sweep.messages import UserError
 
 
 def query(path, sql):
@@ -67,6 +70,79 @@ def test_a_slice_goes_through_the_best_setting_and_beside_it_lies_the_best_over_
         ("entropy_scale", 1.0, 9.0, "9", 9.0, "9", 2, 2),
         ("entropy_scale", 2.0, 2.0, "2", 8.0, "8", 2, 3),
     ]
+
+
+def derived(tmp_path, grid=None):
+    """Figure 7.2's pattern: the fraction is 3 ÷ samples, and changes along with them."""
+    means = {(10, 0.1): 1, (10, 1.0): 8, (30, 0.1): 9, (30, 1.0): 2}
+    store = SyntheticStore(tmp_path)
+    for (samples, tau), mean in means.items():
+        hypers = {"num_action_samples": samples, "elite_fraction": 3 / samples, "entropy_scale": tau}
+        store.finish(store.plan("s", "GreedyAC", "Pendulum-CA", 0, setting=f"{mean}" * 16, **hypers), [mean])
+    path = store.write_studies()
+    if grid:
+        (path / "studies" / "s" / "grid.toml").write_text(grid)
+    return query(path, "SELECT hyperparameter, number, at_best FROM slices ORDER BY ALL")
+
+
+def test_what_is_a_function_of_the_sliced_hyperparameter_changes_along_with_it(tmp_path):
+    samples = [("num_action_samples", 10.0, 1.0), ("num_action_samples", 30.0, 9.0)]
+    scales = [("entropy_scale", 0.1, 9.0), ("entropy_scale", 1.0, 2.0)]
+    fractions = [("elite_fraction", 0.1, 9.0), ("elite_fraction", 0.3, 1.0)]
+    assert derived(tmp_path / "zipped") == [*fractions, *scales, *samples]
+    grid = '[[agent]]\nname = "GreedyAC"\nderive = { elite_fraction = "3 / num_action_samples" }\n'
+    assert derived(tmp_path / "derived", grid) == [*scales, *samples]
+    swept = query(tmp_path / "derived", "SELECT DISTINCT hyperparameter FROM hyperparameters WHERE is_swept ORDER BY 1")
+    assert swept == [("elite_fraction",), ("entropy_scale",), ("num_action_samples",)]
+
+
+def test_a_hyperparameter_that_some_settings_lack_is_no_function_of_another(tmp_path):
+    store = SyntheticStore(tmp_path)
+    for mean, (x, depth) in enumerate([(0.1, {"depth": 1}), (0.01, {"depth": 2}), (0.01, {})]):
+        store.finish(store.plan("s", "SAC", "Pendulum-CA", 0, critic_step_size=x, setting=f"{mean}" * 16, **depth), [mean])
+    found = query(
+        store.write_studies(), "SELECT number, at_best FROM slices WHERE hyperparameter = 'critic_step_size' ORDER BY 1"
+    )
+    assert found == [(0.01, 2.0), (0.1, None)]
+
+
+def test_a_hyperparameter_named_like_a_column_of_results_is_left_out_beside_them(tmp_path):
+    store = SyntheticStore(tmp_path)
+    names = {
+        "mean": 7.0,
+        "Score": 7.0,
+        "num_settings": 7.0,
+        "on_edge": 7.0,
+        "is_frozen": 7.0,
+        "episode_mean_low": 7.0,
+        "plain": 7.0,
+    }
+    for seed in range(2):
+        store.finish(store.plan("s", "SAC", "Pendulum-CA", seed, **names), [-4.0])
+    store.write_studies()
+    for view in ("tuned_per_environment", "tuned_across_environments"):
+        assert query(tmp_path, f"SELECT mean, score, num_settings, plain FROM {view}") == [(-4.0, "episode_mean", 1, 7.0)]
+    assert query(tmp_path, "SELECT episode_mean, episode_mean_low, plain FROM settings") == [(-4.0, -4.0, 7.0)]
+    connection = connect(tmp_path)
+    for view in view_sources():
+        columns = [name.lower() for name in connection.sql(f"FROM {view}").limit(1).to_arrow_table().column_names]
+        assert len(set(columns)) == len(columns), view
+    assert set(names) <= {row[0] for row in query(tmp_path, "SELECT hyperparameter FROM hyperparameters")}
+
+
+@pytest.mark.parametrize("view", ["settings", "tuned_per_environment", "tuned_across_environments"])
+def test_no_hyperparameter_takes_the_name_of_a_column_of_results(tmp_path, view):
+    connection = connect(SyntheticStore(tmp_path).write_studies())
+    columns = {row[0] for row in connection.execute(f"DESCRIBE {view}").fetchall()}
+    results = columns - {name for algorithm in ALGORITHMS.values() for name in algorithm.hypers.table}
+    assert len(results) > 15
+    head = (
+        '[study]\nname = "x"\nenvironments = ["Pendulum-CA"]\nsteps = 1\n[seeds]\ntune = 1\n[[agent]]\nname = "textwrap:fill"\n'
+    )
+    for name in results:
+        with pytest.raises(UserError, match=rf"agent\[1\]\.fixed\.{name}: is the name of a column"):
+            parse(head + f"fixed = {{ {name} = 1 }}\n", "grid.toml")
+    connection.close()
 
 
 def test_settings_on_the_edge_have_the_lowest_or_highest_of_three_values(tmp_path):

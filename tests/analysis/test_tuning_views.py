@@ -100,7 +100,45 @@ def test_choices_across_environments_are_by_the_rules_of_the_studys_selection(tm
     expected = chosen_by_code(dataclasses.replace(study, select=by), store)
     assert_same_choices(store, "across-environments", expected)
     (rule,) = rows(store.path, "FROM study_rules")
-    assert rule == {"study": "study", "score": "episode_mean", "normalizer": normalizer, "diverged": diverged}
+    named = {"score": "episode_mean", "normalizer": normalizer, "diverged": diverged, "by": ["per-environment"]}
+    assert rule == {"study": "study", **named}
+
+
+@pytest.mark.parametrize("diverged", ["worst", "drop"])
+def test_before_anything_is_frozen_choices_are_by_the_rules_of_the_grid(tmp_path, diverged):
+    rules = f'score = "step_mean"\nnormalizer = "cdf"\ndiverged = "{diverged}"'
+    study = grid(GREEDY + SAC, *ENVIRONMENTS, tune=3, select=rules)
+    store = random_store(tmp_path, study, 11, missing=0.03)
+    (tmp_path / "studies" / "study" / "grid.toml").write_text(study.text)
+    for by in ("per-environment", "across-environments"):
+        assert_same_choices(store, by, chosen_by_code(study, store))
+
+
+def test_runs_are_shown_by_the_kinds_of_choices_that_a_grid_with_evaluation_asks_for(tmp_path):
+    study = grid(SAC, "Pendulum-CA", select='by = ["across-environments"]')
+    random_store(tmp_path, study, 3, missing=0.0)
+    file = tmp_path / "studies" / "study" / "grid.toml"
+    shown = []
+    for evaluated in ("", "evaluate = 2\n"):
+        file.write_text(study.text.replace("[select]", f"{evaluated}[select]"))
+        shown.append([row["by"] for row in rows(tmp_path, 'SELECT DISTINCT "by" FROM chosen_runs ORDER BY ALL')])
+    assert shown == [["across-environments", "per-environment"], ["across-environments"]]
+
+
+@pytest.mark.parametrize(("diverged", "expected"), [("worst", -9.0), ("drop", None)])
+def test_every_score_of_a_diverged_run_follows_the_rule_of_its_study(tmp_path, diverged, expected):
+    store = SyntheticStore(tmp_path)
+    means = {"episode_mean": -1.0, "step_mean": -2.0, "final_mean": -3.0}
+    for seed, returns in enumerate(([-9.0, math.nan], [-4.0])):
+        columns = means if seed else {}
+        member = store.plan("s", "SAC", "Pendulum-CA", seed)
+        store.finish(member, returns, **columns)
+    (store.write_studies() / "studies" / "s" / "grid.toml").write_text(
+        f'[select]\ndiverged = "{diverged}"\nscore = "final_mean"\n'
+    )
+    first, second = rows(tmp_path, "SELECT episode_mean, step_mean, final_mean, score, is_dropped FROM run_scores ORDER BY seed")
+    assert list(first.values()) == [expected] * 4 + [diverged == "drop"]
+    assert second == {**means, "score": -3.0, "is_dropped": False}
 
 
 def test_frozen_choices_go_before_those_that_could_be_made_now(tmp_path):
@@ -221,6 +259,36 @@ def test_the_constants_of_a_frozen_selection_go_first(tmp_path):
     ):
         expected = None if row["mean"] is None else (row["mean"] + 100) / 200
         assert row["score"] == pytest.approx(expected, rel=1e-12)
+
+
+def test_the_scale_of_a_frozen_cdf_stays_when_more_tuning_runs_arrive(tmp_path):
+    study = grid(GREEDY + SAC, *ENVIRONMENTS, tune=3, select='normalizer = "cdf"')
+    store = random_store(tmp_path, study, 4, missing=0.3)
+    frozen = chosen_by_code(study, store)
+    scale = frozen.normalizer
+    write_selection(store, "study", table("study", frozen, basis(study, expand(study)), scale.constants()))
+    before = rows(tmp_path, "SELECT count(*) AS runs FROM run_scores WHERE score IS NOT NULL")
+    synthetic = SyntheticStore(tmp_path, shards=50)
+    there = {row["trial"] for row in rows(tmp_path, "SELECT trial FROM trials")}
+    generator = np.random.default_rng(5)
+    for trial in expand(study):
+        if trial.id not in there:  # worse than all before, so that diverged runs count for less from now on
+            member = synthetic.plan_trial("study", trial)
+            synthetic.finish(member, [float(-generator.integers(30, 60))])
+    query = "SELECT * FROM run_scores WHERE score IS NOT NULL"
+    found = rows(tmp_path, query)
+    assert len(found) > before[0]["runs"]
+    places = {}
+    for row in found:
+        places.setdefault((row["agent"], row["environment"], row["setting"]), []).append(row["score"])
+    shown = {
+        (row["agent"], row["environment"], row["setting"]): row["score"]
+        for row in rows(tmp_path, "FROM normalized_scores WHERE normalizer = 'cdf' AND score IS NOT NULL")
+    }
+    assert shown.keys() == places.keys()
+    for place, scores in places.items():
+        values = scale.normalize(place[1], scores)
+        assert shown[place] == pytest.approx(math.fsum(values) / len(values), rel=1e-12, abs=1e-12), place
 
 
 def test_where_a_normalizer_is_undefined_scores_are_null_and_nothing_is_chosen_by_it(tmp_path):

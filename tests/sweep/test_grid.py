@@ -1,9 +1,12 @@
+import dataclasses
 import re
+import tomllib
 from pathlib import Path
 
 import pytest
 
-from sweep import load
+from agents.registry import find_algorithm
+from sweep import grid_checks, load
 from sweep.grid import Conditions, Select, builtin_grids, parse
 from sweep.messages import UserError
 from sweep.trials import expand
@@ -92,6 +95,38 @@ def test_a_function_does_not_make_a_misspelled_name_right_for_the_others():
 def test_a_hyperparameter_may_not_take_the_name_of_a_column(name):
     with pytest.raises(UserError, match=rf"agent\[2\]\.sweep\.{name}: is the name of a column of every trial"):
         parse(FUNCTION + f"sweep = {{ {name} = [1, 2] }}\n", "grid.toml")
+
+
+@pytest.mark.parametrize("name", ["mean", "Score", "num_settings", "standard_error", "is_frozen", "step_mean_low", "num_planned"])
+def test_nor_that_of_a_column_of_the_tables_of_results(name):
+    with pytest.raises(UserError, match=rf"agent\[2\]\.sweep\.{name}: is the name of a column of the tables of results; a hyper"):
+        parse(FUNCTION + f"sweep = {{ {name} = [1, 2] }}\n", "grid.toml")
+    with pytest.raises(UserError, match=rf"agent\[2\]\.derive\.{name}: is the name of a column of the tables of results"):
+        parse(FUNCTION + f'sweep = {{ x = [1, 2] }}\nderive = {{ {name} = "x" }}\n', "grid.toml")
+
+
+def test_names_of_columns_are_refused_in_upper_case_as_well():
+    with pytest.raises(UserError, match=r"agent\[2\]\.fixed\.SEED: is the name of a column of every trial"):
+        parse(FUNCTION + "fixed = { SEED = 1 }\n", "grid.toml")
+
+
+def test_hyperparameters_that_differ_in_case_alone_are_refused():
+    with pytest.raises(UserError, match=r'agent\[2\]\.sweep\.Width: differs from "width" in case alone'):
+        parse(FUNCTION + "fixed = { width = 1 }\nsweep = { Width = [1, 2] }\n", "grid.toml")
+    with pytest.raises(UserError, match=r'agent\[2\]\.fixed\.Polyak: differs from "polyak" in case alone'):
+        parse(FUNCTION + "fixed = { Polyak = 0.5 }\n", "grid.toml")  # a hyperparameter of GreedyAC's: a column of every store
+    parse(FUNCTION + "fixed = { polyak = 0.5, width = 1 }\n", "grid.toml")
+
+
+def test_a_declared_hyperparameter_may_not_take_the_name_of_a_column_either(monkeypatch):
+    known = find_algorithm("SAC")
+    hypers = type("Odd", (known.hypers,), {})
+    hypers.table = {**known.hypers.table, "Mean": known.hypers.table["polyak"]}
+    odd = dataclasses.replace(known, name="Odd", hypers=hypers)
+    monkeypatch.setattr(grid_checks, "find_algorithm", lambda name: odd if name == "Odd" else find_algorithm(name))
+    raw = tomllib.loads(FUNCTION.replace('"SAC"', '"Odd"'))
+    (problem,) = grid_checks.problems(raw)
+    assert problem.startswith('agent[1].name = "Odd": its hyperparameter "Mean" is the name of a column of the tables of results')
 
 
 def test_functions_take_plain_values_and_cannot_be_evaluated():

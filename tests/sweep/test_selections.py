@@ -100,6 +100,7 @@ def test_hyperparameters_named_like_columns_or_of_different_types_come_back(stor
     text = '[study]\nname = "study"\nenvironments = ["Acrobot-CA"]\nsteps = 9\n[seeds]\ntune = 1\nevaluate = 1\n'
     for name, value in {"one": "3", "two": '"three"'}.items():
         text += f'[[agent]]\nname = "functions_of_this_test:{name}"\nfixed = {{ mean = 0.5, width = {value} }}\n'
+    monkeypatch.setattr("sweep.grid_checks._column", lambda name: None)  # a study from before such names were refused
     grid = parse(text, "grid.toml")
     selection = select(grid, {trial.id: TrialScores("finished", 1.0, 2.0) for trial in expand(grid)}, {})
     write_selection(store, "study", frozen_table(grid, selection))

@@ -136,6 +136,25 @@ def test_of_many_settings_the_chosen_one_is_drawn_with_a_warning(tmp_path):
     assert any(note.startswith("warning: no evaluation runs") for note in drawing.notes)
 
 
+def test_a_long_legend_makes_the_figure_higher_and_leaves_the_panel_as_it_is(tmp_path):
+    store = SyntheticStore(tmp_path)
+    settings = [(x, k, t) for x in (1e-3, 1e-4) for k in (0.1, 1.0) for t in (1e-3, 1e-2)][:6]
+    for agent in ("GreedyAC", "SAC"):
+        for x, k, t in settings:
+            run(store, agent, 0, {100: [1.0], 200: [2.0]}, critic_step_size=x, actor_step_size_scale=k, entropy_scale=t)
+    heights = []
+    for agents in (("SAC",), ("GreedyAC", "SAC")):
+        figure = drawn(store, agents=agents).figure
+        figure.draw_without_rendering()  # a panel that vanishes is a warning, and so an error
+        legend, panel = figure.legends[0].get_window_extent(), figure.axes[0].get_window_extent()
+        assert legend.x0 >= 0
+        assert legend.x1 <= figure.bbox.x1
+        assert legend.y1 < panel.y0
+        assert figure._supylabel.get_position()[1] * figure.bbox.height > legend.y1
+        heights.append(panel.height / figure.dpi)
+    assert min(heights) > 1.2
+
+
 def test_at_most_500_points_are_shown_first_and_last_among_them(tmp_path):
     store = SyntheticStore(tmp_path)
     run(store, "SAC", 0, {step: [float(step)] for step in range(1, 1_201)})

@@ -156,3 +156,27 @@ def test_it_is_drawn_from_runs_that_were_trained(real_store):
     assert [text.get_text() for text in axes[3].texts] == ["without one of the two"]  # GreedyAC with discrete actions
     assert all(np.isfinite(cells(panel)).all() for panel in axes if panel.images)
     assert {"chapter-6", "figure-7-1", "figure-7-2"} <= set(heat_map.studies(connection, Options()))
+
+
+def test_a_value_that_one_agent_has_fixed_outside_the_sweep_of_another_has_a_place(tmp_path):
+    store = SyntheticStore(tmp_path)
+    for x, kappa in itertools.product(SIZES, KAPPAS):
+        store.finish(store.plan("study", "SAC", "Pendulum-CA", 0, critic_step_size=x, actor_step_size_scale=kappa), [x + kappa])
+    for x in SIZES:
+        store.finish(store.plan("study", "GreedyAC", "Pendulum-CA", 0, critic_step_size=x, actor_step_size_scale=0.5), [x])
+    greedy, sac = panels(drawn(store.write_studies()))
+    assert [tick.get_text() for tick in greedy.get_yticklabels()] == ["$10^{-1}$", "0.5", "$10^{0}$", "2"]
+    assert cells(greedy)[1] == pytest.approx(SIZES)
+    assert np.isnan(cells(sac)[1]).all()
+
+
+def test_a_diverged_run_is_left_out_by_a_study_that_drops_it(tmp_path):
+    store = SyntheticStore(tmp_path)
+    for x, kappa, seed in itertools.product(SIZES, KAPPAS, (0, 1)):
+        member = store.plan("study", "SAC", "Pendulum-CA", seed, critic_step_size=x, actor_step_size_scale=kappa)
+        store.finish(member, [math.nan if (x, kappa, seed) == (1e-3, 0.1, 1) else 10 * kappa + seed])
+    path = store.write_studies()
+    (path / "studies" / "study" / "grid.toml").write_text('[select]\ndiverged = "drop"\n')
+    drawing = drawn(path)
+    assert cells(panels(drawing)[0])[0] == pytest.approx([1, 1.5])
+    assert "SAC on Pendulum-CA: 1 diverged, left out" in drawing.notes

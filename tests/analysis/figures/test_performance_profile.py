@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from chosen_study import DIVERGED, same_everywhere, write
+from chosen_study import DIVERGED, FAILED, same_everywhere, write
 
 from analysis import connect
 from analysis.figures import performance_profile
@@ -129,3 +129,17 @@ def test_it_is_drawn_from_runs_that_were_trained(real_store):
     (axes,) = several.figure.axes
     assert [line.get_label() for line in axes.lines] == [f"GreedyAC, num_action_samples = {count}" for count in (10, 20, 30)]
     assert performance_profile.studies(connection, Options())[:2] == ["chapter-6", "figure-7-2"]
+
+
+def test_the_median_weighs_environments_equally(tmp_path):
+    scores = {("SAC", "Pendulum-CA", "a"): [1, 2, 3, 4, 5, 6], ("SAC", "MountainCar-CA", "b"): [8, 9]}
+    drawing = drawn(write(tmp_path, scores, agents=["SAC"]), by="per-environment")
+    # half of the weight lies at or below 0.6, the other half from 0.8 on; of the pooled runs the median is 0.45
+    assert any("half of the runs above 0.7, the worst 0.1" in note for note in drawing.notes)
+
+
+def test_an_environment_without_a_score_is_left_out_and_said(tmp_path):
+    scores = {("SAC", "Pendulum-CA", "a"): [1, 2], ("SAC", "MountainCar-CA", "b"): [FAILED, FAILED]}
+    drawing = drawn(write(tmp_path, scores, agents=["SAC"]), by="per-environment")
+    assert set(drawing.data["num_environments"]) == {1}
+    assert "SAC on MountainCar-CA, tuned per environment: 2 failed; no run has a score: left out" in drawing.notes

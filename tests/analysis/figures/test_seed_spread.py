@@ -116,3 +116,12 @@ def test_values_of_one_hyperparameter_stand_on_the_axis(real_store):
         assert [label.get_text() for label in axes.get_xticklabels()] == ["10", "20", "30"]
         assert [len(group) for group in points(axes)] == [3, 3, 3]
     assert len(drawn(real_store, "chapter-6").figure.axes) == 4
+
+
+def test_an_environment_where_every_run_failed_is_an_empty_panel_and_said(tmp_path):
+    scores = {("SAC", "Pendulum-CA", "a"): [1, 2], ("SAC", "MountainCar-CA", "b"): ["failed", "failed"]}
+    store = write(tmp_path, scores, agents=["SAC"])
+    drawing = seed_spread.draw(connect(store), "study", Options(by="per-environment"))
+    (empty, _) = drawing.figure.axes
+    assert [text.get_text() for text in empty.texts] == ["no run has a score"]
+    assert "SAC on MountainCar-CA, tuned per environment: 2 failed; no run has a score" in drawing.notes

@@ -233,3 +233,17 @@ def test_a_real_study_is_drawn_both_ways(real_store, tmp_path):
         drawing.save(tmp_path / "figure.png", "png")
         values = connect(real_store).execute(f"SELECT COUNT(DISTINCT {over}) FROM members WHERE study = 'figure-7-1'").fetchone()
         assert {len(axes.lines) for axes in drawing.figure.axes} == {values[0]}
+
+
+def test_a_diverged_run_is_left_out_by_a_study_that_drops_it(tmp_path):
+    store = SyntheticStore(tmp_path)
+    for x, tau, seed in itertools.product((0.1, 0.01), (1.0, 10.0), (0, 1)):
+        member = store.plan("study", "SAC", "Pendulum-CA", seed, critic_step_size=x, entropy_scale=tau)
+        store.finish(member, [float("nan") if (x, tau, seed) == (0.1, 1.0, 1) else 10 * tau + seed])
+    path = store.write_studies()
+    (path / "studies" / "study" / "grid.toml").write_text('[select]\ndiverged = "drop"\n')
+    drawing = sensitivity_region.draw(connect(path), "study", Options())
+    rows = drawing.data.set_index(["critic_step_size", "entropy_scale"])
+    assert (rows.loc[(0.1, 1.0), "best_mean"], rows.loc[(0.1, 1.0), "num_seeds"]) == (10, 1)
+    assert rows.loc[(0.01, 1.0), "best_mean"] == 10.5
+    assert "SAC on Pendulum-CA: 1 diverged, left out" in drawing.notes

@@ -143,3 +143,17 @@ def test_it_is_drawn_from_runs_that_were_trained(real_store):
     assert len(drawing.figure.axes) == 2 * 4
     assert all(len(panel.lines) == 3 for panel in drawing.figure.axes)
     assert {"chapter-6", "figure-7-1", "figure-7-2"} <= set(setting_ecdf.studies(connection, Options()))
+
+
+def test_a_diverged_run_is_left_out_by_a_study_that_drops_it_and_the_band_with_it(tmp_path):
+    store = SyntheticStore(tmp_path)
+    for x, scores in ((0.1, (4, float("nan"))), (0.01, (5, 7))):
+        for seed, score in enumerate(scores):
+            store.finish(store.plan("study", "SAC", "Pendulum-CA", seed, critic_step_size=x), [score])
+    path = store.write_studies()
+    (path / "studies" / "study" / "grid.toml").write_text('[select]\ndiverged = "drop"\n')
+    drawing = setting_ecdf.draw(connect(path), "study", Options())
+    best = drawing.data[drawing.data["curve"] == "expected_best"]
+    assert best["value"].tolist() == [5, 6]
+    assert best["low"].isna().all()
+    assert any(note.startswith("no interval, since diverged runs are left out") for note in drawing.notes)

@@ -65,3 +65,10 @@ def test_two_settings_at_one_place_are_refused():
 def test_a_value_determines_another_when_it_never_has_two():
     assert determines([1, 2, 3], ["a", "a", "b"])
     assert not determines(["a", "a", "b"], [1, 2, 3])
+
+
+def test_what_varies_together_in_a_part_only_are_two_factors():
+    planned = {"x": [1, 1, 2, 2], "y": [1, 2, 1, 2]}
+    part = {"x": [1, 2], "y": [1, 2]}
+    assert find_factors(part).labels == ("x & y",)
+    assert find_factors(part, planned=planned).labels == ("x", "y")

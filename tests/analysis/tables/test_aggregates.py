@@ -85,7 +85,7 @@ def test_only_environments_that_all_agents_have_count(tmp_path):
     table = built(write(tmp_path, scores))
     assert found(table)["mean"]["value"] == pytest.approx(0.5)
     assert found(table)["mean"]["num_environments"] == 1
-    assert "tuned per environment: left out, since not all agents have runs there: MountainCar-CA" in table.notes
+    assert "tuned per environment: left out, since not all agents have scores there: MountainCar-CA" in table.notes
 
 
 def test_agents_without_a_common_environment_have_no_aggregate(tmp_path):
@@ -129,3 +129,28 @@ def test_it_is_built_from_runs_that_were_trained(real_store):
     means = table.data[table.data["statistic"] == "mean"].set_index(["by", "agent"])["value"]
     gaps = table.data[table.data["statistic"] == "optimality_gap"].set_index(["by", "agent"])["value"]
     assert (means + gaps).to_numpy() == pytest.approx(1)  # no score of cdf is above 1
+
+
+def test_an_environment_where_every_run_failed_counts_as_failed_and_nowhere_else(tmp_path):
+    scores = {
+        ("SAC", "Pendulum-CA", "a"): [2, 4, 6, 8],
+        ("SAC", "MountainCar-CA", "b"): [FAILED] * 4,
+        ("GreedyAC", "Pendulum-CA", "a"): [5, 5, 5, 5],
+        ("GreedyAC", "MountainCar-CA", "b"): [10, 10, 10, 10],
+    }
+    table = built(write(tmp_path, scores), by="per-environment")
+    sac, greedy = found(table), found(table, agent="GreedyAC")
+    assert (sac["share_failed"]["value"], sac["share_failed"]["num_environments"]) == (0.5, 2)
+    assert (greedy["share_failed"]["value"], greedy["share_failed"]["num_environments"]) == (0, 2)
+    assert (sac["mean"]["value"], sac["mean"]["num_environments"]) == (pytest.approx(0.5), 1)
+    assert greedy["mean"]["value"] == pytest.approx(0.5)
+    said = "SAC on MountainCar-CA, tuned per environment: 4 failed; no run has a score: left out but for share_failed"
+    assert said in table.notes
+
+
+def test_runs_that_are_left_out_because_they_diverged_are_among_those_that_failed(tmp_path):
+    store = write(tmp_path, same_everywhere({"SAC": [DIVERGED, 4, 6, 8]}), agents=["SAC"])
+    (store / "studies" / "study" / "grid.toml").write_text('[select]\ndiverged = "drop"\n')
+    rows = found(built(store))
+    assert rows["share_failed"]["value"] == 0.25
+    assert rows["mean"]["value"] == pytest.approx(0.6)

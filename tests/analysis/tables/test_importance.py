@@ -76,7 +76,7 @@ def test_settings_that_all_failed_have_no_shares(tmp_path):
     assert "SAC on Pendulum-CA: settings differ by no more than noise: shares are undefined" in table.notes
 
 
-def test_groups_are_pairs_that_lack_combinations():
+def test_groups_are_pairs_that_were_never_crossed():
     crossed = {"a": (1, 1, 2, 2), "b": (1, 2, 1, 2)}
     assert importance.crossed_groups(crossed) == ()
     assert importance.crossed_groups({**crossed, "c": (1, 1, 1, 2)}) == (("a", "b", "c"),)
@@ -88,3 +88,15 @@ def test_the_shares_of_a_real_study_sum_up_to_one(real_store):
     sums = table.data.dropna(subset=["share"]).groupby(["agent", "environment"])["share"].sum()
     assert len(sums) > 0
     assert sums.tolist() == pytest.approx([1] * len(sums))
+
+
+def test_a_grid_of_three_that_lacks_a_pair_is_refused_and_not_made_one_of_two(tmp_path):
+    store = SyntheticStore(tmp_path)
+    cells = [(x, tau, kappa) for x in (0.1, 0.01, 0.001) for tau in (0.1, 1.0, 10.0) for kappa in (1.0, 2.0)]
+    for x, tau, kappa in cells:
+        for seed in (0, 1):
+            if (x, tau) != (0.001, 10.0):
+                hypers = {"critic_step_size": x, "entropy_scale": tau, "actor_step_size_scale": kappa}
+                store.finish(store.plan("demo", "SAC", "Pendulum-CA", seed, **hypers), [x + tau + kappa + seed])
+    with pytest.raises(NoDataError, match=r"needs a full grid.*critic_step_size = 0.001.*entropy_scale = 10"):
+        build(store.write_studies())

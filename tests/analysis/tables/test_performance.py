@@ -136,3 +136,21 @@ def test_it_is_built_from_runs_that_were_trained(real_store):
     assert (table.data["low"] <= table.data["mean"]).all()
     assert (table.data["mean"] <= table.data["high"]).all()
     assert table.text().startswith("agent ")
+
+
+def test_a_setting_all_of_whose_runs_failed_has_a_row_without_numbers(tmp_path):
+    scores = {("SAC", "Pendulum-CA", "a"): [2, 4], ("SAC", "MountainCar-CA", "b"): [FAILED, FAILED]}
+    table = built(write(tmp_path, scores, agents=["SAC"]), by="per-environment")
+    row = rows(table)["SAC", "MountainCar-CA", "per-environment"]
+    assert (row["num_runs"], row["failed"], row["diverged"], row["missing"]) == (0, 2, 0, 0)
+    assert all(math.isnan(row[name]) for name in ("mean", "low", "median", "maximum", "tolerance_share"))
+    assert "SAC on MountainCar-CA, tuned per environment: 2 failed; no run has a score" in table.notes
+
+
+def test_a_diverged_run_is_left_out_by_a_study_that_drops_it(tmp_path):
+    store = write(tmp_path, same_everywhere({"SAC": [8, DIVERGED, 5]}), agents=["SAC"])
+    (store / "studies" / "study" / "grid.toml").write_text('[select]\ndiverged = "drop"\n')
+    table = built(store)
+    row = rows(table)["SAC", "Pendulum-CA", "per-environment"]
+    assert (row["num_runs"], row["mean"], row["minimum"], row["diverged"], row["failed"]) == (2, 6.5, 5, 1, 0)
+    assert "SAC on Pendulum-CA, tuned per environment: 1 diverged, left out" in table.notes

@@ -1,12 +1,17 @@
 """How certain choices are: probabilities, leads and biases of tiny studies that can be worked out."""
 
+import itertools
+
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from synthetic_store import SyntheticStore
 
 from analysis import connect
 from analysis.figures.options import NoDataError, Options
 from analysis.tables import selection
+from sweep import schema
 
 PER_ENVIRONMENT = Options(by="per-environment")
 
@@ -103,3 +108,21 @@ def test_both_regimes_are_shown_and_agree_with_the_frozen_selection_of_a_real_st
     across = table.data[table.data["by"] == "across-environments"]
     assert set(across["agent"]) == {agent for agent, _ in expected}
     assert set(table.data["num_evaluation_seeds"]) == {4}
+
+
+def test_a_study_that_chooses_across_environments_alone_shows_its_evaluation_runs(tmp_path):
+    store = SyntheticStore(tmp_path)
+    settings = {}
+    for environment, x, seed in itertools.product(("MountainCar-CA", "Pendulum-CA"), (0.1, 0.01), (0, 1)):
+        trial = store.plan("demo", "SAC", environment, seed, critic_step_size=x)
+        store.finish(trial, [100 * x])
+        settings[x] = trial["setting"]
+    for environment, seed in itertools.product(("MountainCar-CA", "Pendulum-CA"), (10, 11)):
+        store.finish(store.plan("demo", "SAC", environment, seed, "evaluate", critic_step_size=0.1), [4 + 2 * (seed - 10)])
+    path = store.write_studies()
+    frozen = {"study": "demo", "agent": "SAC", "by": "across-environments", "setting": settings[0.1], "score": "episode_mean"}
+    frozen |= {"normalizer": "thesis", "diverged": "worst", "basis": "0" * 16, "for_each": "{}", "hypers": "{}"}
+    rows = [{**frozen, "environment": place, "constants": '{"best_return": 10.0}'} for place in ("MountainCar-CA", "Pendulum-CA")]
+    pq.write_table(pa.Table.from_pylist(rows, schema.SELECTIONS), path / "studies" / "demo" / "selections.parquet")
+    (row,) = build(path, Options(by="across-environments")).data.to_dict("records")
+    assert (row["evaluation_mean"], row["num_evaluation_seeds"]) == (pytest.approx(0.5), 2)

@@ -114,3 +114,41 @@ def test_the_sql_gives_the_runs_behind_the_table(two_environments):
     rows = connect(store).execute(table.sql).fetchall()
     assert len(rows) == 2 * 2 * 3 * 2
     assert json.loads(table.data.to_json(orient="records"))[0]["study"] == rows[0][0] == "demo"
+
+
+def test_one_complete_candidate_has_a_sensitivity_and_the_reason_why_no_dimensionality(tmp_path):
+    store = SyntheticStore(tmp_path)
+    for environment, step_size, seed in itertools.product(("MountainCar-CA", "Pendulum-CA"), (0.1, 0.01), (0, 1)):
+        for agent in ("GreedyAC", "SAC"):
+            trial = store.plan("demo", agent, environment, seed, critic_step_size=step_size)
+            if (agent, step_size, seed) != ("SAC", 0.01, 1):
+                store.finish(trial, [10 * step_size + seed])
+    table = build(store.write_studies())
+    row = table.data.set_index("agent").loc["SAC"]
+    assert (row["sensitivity"], row["num_settings"]) == (0, 1)
+    assert np.isnan(row["dimensionality"])
+    assert any("SAC: an effective dimensionality needs a hyperparameter that varies" in note for note in table.notes)
+
+
+def test_hyperparameters_that_the_study_crossed_stay_two_where_runs_are_missing(tmp_path):
+    store = SyntheticStore(tmp_path)
+    cells = itertools.product(("MountainCar-CA", "Pendulum-CA"), (0.1, 0.01), (1.0, 10.0), (0, 1))
+    for environment, step_size, kappa, seed in cells:
+        trial = store.plan("demo", "SAC", environment, seed, critic_step_size=step_size, actor_step_size_scale=kappa)
+        if (step_size, kappa) in ((0.1, 1.0), (0.01, 10.0)) or seed == 0:  # the other two lack a run
+            store.finish(trial, [50 * step_size + kappa + seed])
+    table = build(store.write_studies())
+    (best,) = table.data["best_of_each_number"]
+    assert [part.split(":")[0] for part in best.split("; ")][-1] == "critic_step_size + actor_step_size_scale"
+    assert not any("one hyperparameter here" in note for note in table.notes)
+
+
+def test_a_study_that_drops_diverged_runs_has_no_sensitivity_where_there_are_any(tmp_path):
+    store = SyntheticStore(tmp_path)
+    for environment, step_size, seed in itertools.product(("MountainCar-CA", "Pendulum-CA"), (0.1, 0.01), (0, 1)):
+        trial = store.plan("demo", "SAC", environment, seed, critic_step_size=step_size)
+        store.finish(trial, [float("nan") if (step_size, seed) == (0.1, 1) else 100 * step_size + seed])
+    path = store.write_studies()
+    (path / "studies" / "demo" / "grid.toml").write_text('[select]\ndiverged = "drop"\n')
+    with pytest.raises(NoDataError, match="needs the same seeds of all settings"):
+        build(path)
