@@ -359,7 +359,7 @@ def test_an_interrupt_while_everything_starts_gives_exit_code_3_too(tmp_path):
 
 def test_what_the_system_refuses_is_a_message_too(finished, tmp_path):
     ran = sweep("analyze", "--figure", "7.1", "--out", "grid.toml", cwd=finished)
-    assert (ran.returncode, ran.stderr) == (1, "error: grid.toml: the figure cannot be written there: File exists\n")
+    assert (ran.returncode, ran.stderr) == (1, "error: grid.toml: is a file; --out names a folder\n")
     shutil.copytree(finished / "results", tmp_path / "results")
     (file,) = list(tmp_path.glob("results/shards/*/trials.parquet"))[:1]
     file.write_bytes(file.read_bytes()[:100])

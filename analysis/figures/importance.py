@@ -36,7 +36,8 @@ def draw(connection: duckdb.DuckDBPyConnection, study: str, options: Options) ->
     alone (filled), to each pair beyond both (hatched), and to what is left: higher interactions, and pairs beyond the six
     largest (gray).
     An exact functional ANOVA on the full grid, on means over the tuning seeds; diverged runs count by the study's rule (as the
-    worst return; where any is left out there is nothing to show). The variance of means that noise alone gives, σ²/n, is removed in proportion to the degrees of freedom, so that
+    worst return; where any is left out there is nothing to show). The variance of means that noise alone gives, σ²/n, is
+    removed in proportion to the degrees of freedom, so that
     a bar may reach below 0: no effect that these runs can show. Lines are 95 % percentile intervals over 1,000 bootstrap
     resamples of the seeds, the same for all settings; bars and lines that leave the axis are cut off. Hyperparameters that do
     not vary independently are one factor. Panels whose grid is incomplete, or whose settings differ by no more than noise,

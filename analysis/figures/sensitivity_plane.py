@@ -41,7 +41,8 @@ def draw(connection: duckdb.DuckDBPyConnection, study: str, options: Options) ->
     one setting for all. Scores of tuning runs under the percentile normalizer unless another is asked for: 0 is the 5th, 1
     the 95th percentile of the settings of all agents on an environment. Crosses are 95 % percentile intervals over 10,000
     bootstrap resamples of the seeds, the same for all settings and environments. Diverged runs count by the study's rule (as the
-    worst return; where any is left out there is nothing to show). Both coordinates are maxima over noisy means: Φ is above 0 by luck alone, and its interval may begin at the point.
+    worst return; where any is left out there is nothing to show). Both coordinates are maxima over noisy
+    means: Φ is above 0 by luck alone, and its interval may begin at the point.
     The data and notes have Φ on evaluation seeds, without that luck, where settings were chosen by both rules and evaluated.
     """
     scope = find_scope(connection, study, options)
