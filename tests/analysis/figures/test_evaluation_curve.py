@@ -116,7 +116,7 @@ def test_without_evaluations_figures_of_chapter_3_show_learning_curves_and_other
     store = SyntheticStore(tmp_path)
     run(store, "SAC", 0, {}, returns=[10.0, 20.0])
     run(store, "SAC", 1, {}, returns=[30.0, 60.0])
-    with pytest.raises(NoDataError, match="has no evaluation episodes .*: see learning-curve"):
+    with pytest.raises(NoDataError, match=r"has no evaluation episodes .*: see learning-curve"):
         drawn(store, band="runs")
     drawing = drawn(store, band="runs", where={"entropy_tuning": "fixed"})  # the figures of chapter 3 say which
     x, y = drawing.figure.axes[0].lines[-1].get_data()
