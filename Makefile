@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STORE ?= results
 
-.PHONY: help demo test test-slow test-cluster test-mujoco test-gpu check format bench bench-gpu clean
+.PHONY: help demo test test-slow test-cluster test-mujoco test-gpu check format bench bench-analysis bench-gpu clean
 
 # The native kernels are compiled by the install.
 SOURCES := pyproject.toml setup.py $(wildcard agents/kernels/src/*)
@@ -45,6 +45,9 @@ format: $(VENV)/installed-dev  ## format the code and mend what the linter can
 
 bench: $(VENV)/installed-dev  ## agent-steps a second: populations against a plain single agent, and the share of sgemm
 	$(BIN)/python tests/benchmarks/training_speed.py --json bench.json
+
+bench-analysis: $(VENV)/installed-dev  ## how fast figures, tables and queries of a store of the thesis' size are
+	$(BIN)/python tests/benchmarks/analysis_speed.py --folder build/full-size --json bench-analysis.json
 
 bench-gpu:  ## the same on a CUDA device, checked against the CPU; needs torch and numpy only, in whatever Python PYTHON is
 	PYTHONPATH=. $(PYTHON) tests/benchmarks/gpu_speed.py --json bench-gpu.json
