@@ -14,13 +14,11 @@ is small is read once: the columns of `trials`, `members` and `selections` that 
 (DuckDB writes a view out wherever it is named: the choices of a study would be a plan with a hundred scans of the same files.)
 """
 
-import contextlib
 import re
 import tempfile
-import threading
-import tomllib
 import uuid
 from collections.abc import Mapping
+from functools import partial
 from graphlib import TopologicalSorter
 from importlib import resources
 from pathlib import Path
@@ -32,12 +30,12 @@ import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 
 from agents.registry import ALGORITHMS
-from sweep import manifest, schema, study_files
+from analysis import grid_rules
+from analysis.on_demand import read_by_column, read_once
+from sweep import manifest, schema
 from sweep.failures import Failure
-from sweep.grid_checks import SELECT_CHOICES
 from sweep.manifest import DamagedError
 from sweep.messages import UserError
-from sweep.overrides import ANY, EACH, apply
 from sweep.store import Store
 
 _HYPERS = {name: value for known in ALGORITHMS.values() for name, value in known.hypers().as_dict().items()}
@@ -52,19 +50,7 @@ _STUDY_TABLES = {
     "members": schema.with_hypers(schema.MEMBERS, _HYPERS),
     "selections": schema.with_hypers(schema.SELECTIONS, _HYPERS, after="setting"),
 }
-#: One row per study; NULL where its grid says nothing, or cannot be read. `derived`: names of what agents derive from others.
-_GRID_RULES = pa.schema(
-    [("study", pa.string())]
-    + [(name, pa.list_(pa.string()) if name == "by" else pa.string()) for name in SELECT_CHOICES]
-    + [("derived", pa.list_(pa.string()))]
-)
-#: What of a grid is read here, as `sweep.overrides` is told.
-_GRID_KEYS = {"select": {ANY: None}, "seeds": {ANY: None}, "agent": {EACH: {"derive": {ANY: None}}}}
 _OPEN_TABLES = ("trials", "members", "selections")  # files may add hyperparameters of algorithms that are not registered here
-_READ_TOGETHER = {  # what every score needs, in one pass over the files
-    "trial", "status", "episode_mean", "step_mean", "final_mean", "best_episode", "worst_episode",
-    "study", "stage", "setting", "agent", "environment", "seed",
-}  # fmt: skip
 _LARGE_VIEWS = ("completed_episodes", "learning_curves")  # not kept, whoever reads them
 
 
@@ -97,7 +83,7 @@ def connect(store: str | Path, threads: int | None = None) -> duckdb.DuckDBPyCon
             read = {known: relations[known] for known in _relations(select) if known in relations}
             if (name, tables) not in _COLUMNS:
                 _COLUMNS[name, tables] = connection.sql(select).limit(0).to_arrow_table().schema
-            relations[name] = _View(_COLUMNS[name, tables], config, select, read)
+            relations[name] = read_once(_COLUMNS[name, tables], partial(_evaluate, config, select, read))
             connection.register(name, relations[name])
         else:
             connection.execute(f"CREATE VIEW {name} AS {select}")
@@ -115,97 +101,13 @@ def _opened(config: dict[str, Any], relations: Mapping[str, ds.Dataset]) -> duck
     return connection
 
 
-class _Kept(ds.FileSystemDataset):
-    """What DuckDB takes for a dataset: it asks for a scanner of some columns, which are made when they are first asked for."""
-
-    def __init__(self, columns: pa.Schema) -> None:
-        super().__init__([], columns, ds.ParquetFileFormat())
-        self._lock = threading.Lock()
-
-    def scanner(self, columns: list[str] | None = None, **how: Any) -> ds.Scanner:
-        """Return a scanner of the table; DuckDB passes names of columns, and a filter."""
-        wanted = self.schema.names if columns is None else columns
-        named = [name for name in self.schema.names if name in str(how.get("filter"))]
-        with self._lock:
-            table = self._table([*wanted, *named])
-        return ds.dataset(table).scanner(columns=wanted, **how)
-
-    def _table(self, columns: list[str]) -> pa.Table:
-        """Return a table with these columns at least."""
-        raise NotImplementedError
-
-
-class _Files(_Kept):
-    """A small table: the columns that were asked for stay in memory."""
-
-    def __init__(self, dataset: ds.Dataset) -> None:
-        super().__init__(dataset.schema)
-        self._dataset = dataset
-        self._read: dict[str, pa.ChunkedArray] = {}
-
-    def _table(self, columns: list[str]) -> pa.Table:
-        missing = [name for name in dict.fromkeys(columns) if name not in self._read]
-        if missing:
-            missing += [name for name in self.schema.names if name in _READ_TOGETHER - {*missing, *self._read}]
-            table = self._dataset.to_table(columns=missing)
-            self._read |= dict(zip(missing, table.columns, strict=True))
-        return pa.table({name: self._read[name] for name in dict.fromkeys(columns)})
-
-
-class _GridRules(_Kept):
-    """What the grids of studies say of their rules. Nothing is checked: a grid was, when it came into the store."""
-
-    def __init__(self, folders: list[Path]) -> None:
-        super().__init__(_GRID_RULES)
-        self._folders = folders
-        self._rows: pa.Table | None = None
-
-    def _table(self, columns: list[str]) -> pa.Table:
-        if self._rows is None:
-            rows = [{"study": folder.name, **_rules(folder)} for folder in self._folders]
-            self._rows = pa.Table.from_pylist(rows, _GRID_RULES)
-        return self._rows
-
-
-def _rules(folder: Path) -> dict[str, Any]:
-    """Return the rules in a study's grid, those that are valid choices."""
+def _evaluate(config: dict[str, Any], select: str, read: Mapping[str, ds.Dataset]) -> pa.Table:
+    """Return a view's rows, evaluated on a connection of its own: the one that asks is in the midst of a query."""
+    connection = _opened(config, read)
     try:
-        text, overrides = study_files.source(folder)
-        raw = tomllib.loads(text)
-    except (OSError, ValueError, RecursionError, UserError):
-        return {}
-    for override in overrides:
-        with contextlib.suppress(UserError):  # one that is about something else
-            apply(raw, [override], _GRID_KEYS)
-    select, seeds, agents = raw.get("select"), raw.get("seeds"), raw.get("agent")
-    found: dict[str, Any] = {}
-    for name, value in (select if isinstance(select, dict) else {}).items():
-        listed = value if name == "by" and isinstance(value, list) else [value]
-        if listed and all(isinstance(item, str) and item in SELECT_CHOICES.get(name, ()) for item in listed):
-            found[name] = sorted(listed) if name == "by" else value
-    if not isinstance(seeds, dict) or "evaluate" not in seeds:
-        found.pop("by", None)  # nothing is evaluated, and choices are made by either rule
-    known = [agent for agent in (agents if isinstance(agents, list) else []) if isinstance(agent, dict)]
-    tables = [table for agent in known if isinstance(table := agent.get("derive"), dict)]
-    return found | {"derived": sorted({name for table in tables for name in table})}
-
-
-class _View(_Kept):
-    """The rows of a view, evaluated on a connection of its own: the one that asks is in the midst of a query."""
-
-    def __init__(self, columns: pa.Schema, config: dict[str, Any], select: str, read: Mapping[str, ds.Dataset]) -> None:
-        super().__init__(columns)
-        self._config, self._select, self._read = config, select, read
-        self._rows: pa.Table | None = None
-
-    def _table(self, columns: list[str]) -> pa.Table:
-        if self._rows is None:
-            connection = _opened(self._config, self._read)
-            try:
-                self._rows = connection.sql(self._select).to_arrow_table()
-            finally:
-                connection.close()
-        return self._rows
+        return connection.sql(select).to_arrow_table()
+    finally:
+        connection.close()
 
 
 def view_sources() -> dict[str, str]:
@@ -232,9 +134,10 @@ def _datasets(store: Store) -> dict[str, ds.Dataset]:
         except FileNotFoundError:  # compacted since it was listed
             continue
         for name in _STUDY_TABLES:
-            found[name] = _Files(_dataset(sorted(store.path.glob(f"studies/*/{name}.parquet")), name))
-        found["grid_rules"] = _GridRules(sorted(folder for folder in store.path.glob("studies/*") if folder.is_dir()))
-        found["trials"] = _Files(_with_failed(found["trials"], store.failures()))
+            found[name] = read_by_column(_dataset(sorted(store.path.glob(f"studies/*/{name}.parquet")), name))
+        folders = sorted(folder for folder in store.path.glob("studies/*") if folder.is_dir())
+        found["grid_rules"] = read_once(grid_rules.COLUMNS, partial(grid_rules.read_rules, folders))
+        found["trials"] = read_by_column(_with_failed(found["trials"], store.failures()))
         return found
 
 

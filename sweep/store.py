@@ -4,8 +4,7 @@
     shards/<shard>/{trials,episodes,steps}.parquet  trials that were trained together: visible whole or not at all; with
                                                     evaluations.parquet where there are evaluation episodes
     shards/<shard>/manifest.json                    sizes, rows and checksums of these files (`sweep.manifest`)
-    studies/<study>/                                what a study needs, finished or not (`sweep.study_files`)
-    failures/<shard>.json                           why a shard could not be trained (`sweep.failures`)
+    studies/<study>/  failures/<shard>.json         what a study needs (`sweep.study_files`); what failed (`sweep.failures`)
     .staging/  .progress/  .quarantine/  .lock      work under way, and damaged shards; never read as results
 
 A shard is written and flushed to disk in `.staging`, then its folder is renamed into place: a rename is atomic, and it fails when

@@ -3,16 +3,11 @@
 import json
 import os
 import shutil
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
-import torch
-
-from agents import kernels
 
 GRID = """
 [study]
@@ -127,25 +122,6 @@ def test_a_plan_takes_a_store_that_is_not_there_for_an_empty_one(tmp_path, store
     assert (ran.returncode, ran.stderr) == (0, "")
     assert "8 trials, 0 finished, 8 missing" in ran.stdout
     assert sorted(file.name for file in tmp_path.rglob("*")) == ["empty", "grid.toml"]
-
-
-def test_a_doctor_says_which_engine_trains_and_what_is_installed(tmp_path):
-    found = json.loads(sweep("doctor", "--json", cwd=tmp_path).stdout)
-    assert found["engine"] == kernels.engine_name("cpu")
-    assert found["cores"] == os.cpu_count()
-    assert found["versions"]["torch"] == torch.__version__
-    assert set(found["versions"]) >= {"python", "sweep", "torch", "numpy", "ray", "duckdb", "pyarrow", "gymnasium"}
-    assert found["calibrations"] == os.path.join(os.environ["XDG_CACHE_HOME"], "sweep", "calibrations.json")
-    shown = sweep("doctor", cwd=tmp_path).stdout
-    for told in (
-        found["engine"],
-        found["engine_reason"],
-        found["processor"],
-        found["versions"]["pyarrow"],
-        found["calibrations"],
-    ):
-        assert told in shown
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(
@@ -323,38 +299,6 @@ def test_a_store_that_cannot_be_written_to_is_a_mistake_before_anything_is_train
     assert ran.returncode == 1
     assert ran.stderr.startswith("error: results: ")
     assert "Traceback" not in ran.stderr
-
-
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupt_stops_the_workers_keeps_what_is_finished_and_gives_exit_code_3(tmp_path, how):
-    long_trials = "\n[[agent]]\nname = 'GreedyAC'\nfixed = { batch_size = 31 }\n"
-    (tmp_path / "grid.toml").write_text((GRID + long_trials).replace("steps = 60", "steps = 30_000"))
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-c", "from sweep.cli import main; main()", "launch", "grid.toml", "--num-cpus", "2"]
-    process = subprocess.Popen(command, cwd=tmp_path, env=environment, stdout=subprocess.PIPE, text=True, start_new_session=True)
-    deadline = time.monotonic() + 60
-    while not list(tmp_path.glob("results/.progress/*")) and time.monotonic() < deadline:
-        time.sleep(0.2)
-    os.kill(process.pid, how)
-    if how == signal.SIGINT:  # the first one lets the workers go on to the end of their shards
-        time.sleep(1)
-        os.kill(process.pid, how)
-    output, _ = process.communicate(timeout=60)
-    assert process.returncode == 3
-    assert "Interrupted. What is finished is in the store; launch again to go on." in output
-
-
-def test_an_interrupt_while_everything_starts_gives_exit_code_3_too(tmp_path):
-    (tmp_path / "grid.toml").write_text(GRID)
-    for delay in (1.0, 2.0):
-        command = [sys.executable, "-c", "from sweep.cli import main; main()", "launch", "grid.toml", "--num-cpus", "1"]
-        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-        process = subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, stdout=subprocess.PIPE)
-        time.sleep(delay)
-        os.kill(process.pid, signal.SIGINT)
-        output, errors = process.communicate(timeout=60)
-        assert process.returncode == 3, (output, errors)
-        assert b"Interrupted." in output + errors
 
 
 def test_what_the_system_refuses_is_a_message_too(finished, tmp_path):

@@ -32,14 +32,14 @@ studies = studies_with_chosen_runs
 
 
 def draw(connection: duckdb.DuckDBPyConnection, study: str, options: Options) -> Drawing:
-    """Performance profiles of the chosen settings: the share of runs, over all environments, with a normalized score above τ, a
-    line an agent, a panel a tuning regime. Each environment counts the same, and only environments that all agents have count.
-    A line that lies above another everywhere belongs to the better agent; where it crosses the height ½ is the median. Runs are
-    those of the evaluation stage, or the tuning runs of a study without one, which are too good; diverged runs count by the
-    study's rule (worst return, or left out).
-    Bands are pointwise 95 % stratified bootstrap bands (2,000 resamples of runs within each
-    environment; where all environments have the same seeds these are drawn jointly). The normalizer is the study's unless
-    another is asked for: percentile or cdf let environments weigh about the same, the thesis' does not.
+    """Performance profiles of the chosen settings: the share of runs, over all environments, with a normalized score above a
+    threshold, a line an agent, a panel a tuning regime. Each environment counts the same, and only environments that all
+    agents have count. A line that lies above another everywhere belongs to the better agent; where it crosses the height ½ is
+    the median. Runs are those of the evaluation stage, or the tuning runs of a study without one, which are too good;
+    diverged runs count by the study's rule (worst return, or left out). Bands are pointwise 95 % stratified bootstrap bands
+    (2,000 resamples of runs within each environment; where all environments have the same seeds these are drawn jointly). The
+    normalizer is the study's unless another is asked for: percentile or cdf let environments weigh about the same, the
+    thesis' does not.
     """
     every = load_chosen(connection, study, options)
     chosen, notes = on_common_environments(every)
@@ -81,8 +81,8 @@ def _figure(chosen: ChosenRuns, thresholds: np.ndarray, profiles: list[tuple[Cho
             if group.by == by:
                 _draw_profile(axes, thresholds, profile, colors[group.name], dashes[group.name], group.name)
         axes.set_ylim(-0.03, 1.03)
-        axes.set_xlabel(f"Normalized score τ ({chosen.normalizer})")
-    panels[0, 0].set_ylabel("Share of runs above τ")
+        axes.set_xlabel(f"Normalized score ({chosen.normalizer})")
+    panels[0, 0].set_ylabel("Share of runs above")
     style.name_columns(panels, [f"tuned {by.replace('-', ' ')}" for by in chosen.regimes])
     style.headline(figure, title, _subtitle(chosen))
     lines = [Line2D([], [], color=colors[name], linestyle=dashes[name], linewidth=1.6, label=name) for name in chosen.names]
@@ -91,7 +91,7 @@ def _figure(chosen: ChosenRuns, thresholds: np.ndarray, profiles: list[tuple[Cho
 
 
 def _draw_profile(axes: Axes, thresholds: np.ndarray, profile: Band, color: Any, dash: Any, name: str) -> None:
-    # the share above τ holds from each score up to the next
+    # the share holds from each score up to the next
     axes.plot(thresholds, profile.value, drawstyle="steps-post", color=color, linestyle=dash, linewidth=1.6, label=name)
     if not np.isnan(profile.low).all():
         axes.fill_between(thresholds, profile.low, profile.high, step="post", color=color, alpha=0.18, linewidth=0)

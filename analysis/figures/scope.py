@@ -6,6 +6,8 @@ import duckdb
 
 from analysis.figures.options import NoDataError, Options
 
+FEW_SEEDS = 5
+"""Below so many a bootstrap of the seeds says little, and notes say so."""
 LABELS = {
     "episode_mean": "Average episodic return",
     "step_mean": "Episodic return, mean over steps",
@@ -119,3 +121,18 @@ def describe_diverged(rule: str) -> str:
 def quoted(text: str) -> str:
     """Return a text as SQL writes it."""
     return "'" + text.replace("'", "''") + "'"
+
+
+def studies_on_several_environments(connection: duckdb.DuckDBPyConnection) -> list[str]:
+    """Return the studies with tuning runs of several settings of an agent on several environments."""
+    rows = connection.execute(
+        """
+        SELECT study
+        FROM settings
+        WHERE stage = 'tune' AND num_seeds > 0
+        GROUP BY study, agent
+        HAVING COUNT(DISTINCT environment) > 1 AND COUNT(DISTINCT setting) > 1
+        ORDER BY study
+        """
+    ).fetchall()
+    return list(dict.fromkeys(row[0] for row in rows))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from analysis.figures.scope import describe_diverged
+from analysis.figures.scope import FEW_SEEDS, describe_diverged
 from analysis.figures.sensitivity_data import SensitivityData
 from analysis.figures.style import words
 from analysis.statistics.estimate import Estimate
@@ -25,7 +25,7 @@ _NEAR_WORST = 0.1
 def subtitle(data: SensitivityData) -> str:
     """Return n, steps, stage and what each point is the best over: `mean over 2 tuning seeds, 20,000 steps; best over …`."""
     best = f"best over {', '.join(data.maximized)}" if data.maximized else "one setting a point"
-    return f"{_seeds(data)}, {data.steps:,} steps; {best}; no interval"
+    return f"{_seeds(data)}, {data.steps:,} steps; {best}"
 
 
 def notes(data: SensitivityData, seed: int = 0) -> list[str]:
@@ -51,6 +51,8 @@ def notes(data: SensitivityData, seed: int = 0) -> list[str]:
         if progress.diverged:
             lines.append(f"{where}: {progress.diverged:,} diverged, {describe_diverged(data.diverged)}")
     if judged:
+        if data.seeds < FEW_SEEDS:
+            lines.append(f"{data.seeds} tuning seeds: intervals and widths without the bias of noise say little")
         lines.append(
             f"intervals: 95 %, percentile bootstrap of the tuning seeds, {RESAMPLES:,} resamples; p: {PERMUTATIONS:,} "
             f"permutations of the lines within each seed; seed {seed}"

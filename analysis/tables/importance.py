@@ -10,7 +10,7 @@ import pandas as pd
 
 from analysis import scores
 from analysis.figures.options import NoDataError, Options
-from analysis.figures.scope import Scope, describe_progress, find_scope
+from analysis.figures.scope import FEW_SEEDS, Scope, describe_progress, find_scope
 from analysis.figures.sensitivity_data import run_scores
 from analysis.statistics.factors import find_factors
 from analysis.statistics.importance import Importance, decompose
@@ -106,6 +106,8 @@ def notes(scope: Scope, measured: Sequence[Measured], seed: int) -> list[str]:
         f"study {scope.study}: {scope.subtitle()}; shares of the variance between settings, noise removed; intervals: 95 %, "
         f"percentile bootstrap of the seeds, {RESAMPLES:,} resamples, seed {seed}"
     ]
+    if (fewest := min((known.importance.num_runs for known in measured if known.importance), default=FEW_SEEDS)) < FEW_SEEDS:
+        lines.append(f"{counted(fewest, 'seed')}: intervals say little, and may lie beside their own estimate")
     for known in measured:
         lines += [f"{known.where}: {' & '.join(names)} do not vary independently: one factor" for names in known.joined]
         found = known.importance

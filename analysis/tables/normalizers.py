@@ -11,7 +11,7 @@ from scipy import stats
 
 from analysis import scores
 from analysis.figures.options import NoDataError, Options
-from analysis.figures.scope import Scope, describe_progress, find_rule, find_scope
+from analysis.figures.scope import Scope, describe_progress, find_rule, find_scope, studies_on_several_environments
 from analysis.figures.sensitivity_data import run_scores
 from analysis.scores import AcrossScores
 from analysis.statistics.seed_resampling import winners
@@ -42,17 +42,7 @@ class Scaled:
 
 def studies(connection: duckdb.DuckDBPyConnection, options: Options) -> list[str]:
     """Return the studies with tuning runs of an agent's settings on several environments."""
-    rows = connection.execute(
-        """
-        SELECT study
-        FROM settings
-        WHERE stage = 'tune' AND num_seeds > 0
-        GROUP BY study, agent
-        HAVING COUNT(DISTINCT environment) > 1 AND COUNT(DISTINCT setting) > 1
-        ORDER BY study
-        """
-    ).fetchall()
-    return list(dict.fromkeys(row[0] for row in rows))
+    return studies_on_several_environments(connection)
 
 
 def build(connection: duckdb.DuckDBPyConnection, study: str, options: Options) -> Table:

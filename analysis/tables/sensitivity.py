@@ -9,7 +9,7 @@ import pandas as pd
 
 from analysis import scores
 from analysis.figures.options import NoDataError, Options
-from analysis.figures.scope import Scope, describe_progress, find_scope
+from analysis.figures.scope import Scope, describe_progress, find_scope, studies_on_several_environments
 from analysis.figures.sensitivity_data import run_scores
 from analysis.statistics.estimate import Estimate, TooFewRunsError
 from analysis.statistics.factors import find_factors
@@ -53,17 +53,7 @@ class Measured:
 
 def studies(connection: duckdb.DuckDBPyConnection, options: Options) -> list[str]:
     """Return the studies with tuning runs of an agent on several environments."""
-    rows = connection.execute(
-        """
-        SELECT study
-        FROM settings
-        WHERE stage = 'tune' AND num_seeds > 0
-        GROUP BY study, agent
-        HAVING COUNT(DISTINCT environment) > 1 AND COUNT(DISTINCT setting) > 1
-        ORDER BY study
-        """
-    ).fetchall()
-    return list(dict.fromkeys(row[0] for row in rows))
+    return studies_on_several_environments(connection)
 
 
 def build(connection: duckdb.DuckDBPyConnection, study: str, options: Options) -> Table:

@@ -7,8 +7,6 @@ import html.parser
 import json
 import math
 import re
-import subprocess
-import sys
 
 import pytest
 from report_study import write
@@ -308,50 +306,3 @@ def test_every_exhibit_is_shown_or_left_out_with_a_reason(real_reports):
         there = {one.label for one in made.exhibits} | {one.label.split(" (")[0] for one in made.left_out}
         assert there == wanted
         assert len({one.anchor for one in made.exhibits}) == len(made.exhibits)
-
-
-def run(*arguments, cwd):
-    command = [sys.executable, "-c", "from sweep.cli import main; main()", *arguments]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=300)
-
-
-def test_the_command_writes_a_page_and_says_what_to_know(tmp_path):
-    store = SyntheticStore(tmp_path / "results")
-    nothing_yet(store)
-    store.write_studies()
-    ran = run("report", cwd=tmp_path)
-    assert (ran.returncode, ran.stderr) == (0, "")
-    assert "warning: No run is finished: None of 1 trial" in ran.stdout
-    assert ran.stdout.endswith("wrote report.html\n")
-    Page((tmp_path / "report.html").read_text("utf-8"))
-
-
-def test_the_command_prints_json_and_writes_no_page(tmp_path):
-    store = SyntheticStore(tmp_path / "results")
-    nothing_yet(store)
-    store.write_studies()
-    ran = run("report", "demo", "--json", cwd=tmp_path)
-    assert json.loads(ran.stdout)["study"] == "demo"
-    assert not (tmp_path / "report.html").exists()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["report"], "several studies; say which: one, two"),
-        (["report", "tow"], 'unknown study "tow"; did you mean "two"'),
-        (["report", "one", "--out", "results/report.html"], "is in the store"),
-        (["report", "one", "--store", "nowhere"], "there is no store here"),
-        (["export", "tow"], 'unknown study "tow"; did you mean "two"'),
-        (["export", "--out", "results/x"], "is in the store"),
-    ],
-)
-def test_a_mistake_is_answered_in_a_line_with_exit_code_one(arguments, message, tmp_path):
-    store = SyntheticStore(tmp_path / "results")
-    for study in ("one", "two"):
-        store.plan(study, "SAC", "Pendulum-CA", 0)
-    store.write_studies()
-    ran = run(*arguments, cwd=tmp_path)
-    assert (ran.returncode, ran.stdout) == (1, "")
-    assert message in ran.stderr
-    assert "Traceback" not in ran.stderr

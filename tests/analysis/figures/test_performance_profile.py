@@ -70,7 +70,7 @@ def test_agents_are_told_apart_by_color_and_dash_and_named_below(drawing):
     assert len({line.get_color() for line in lines}) == len({line.get_linestyle() for line in lines}) == 2
     assert [text.get_text() for text in drawing.figure.legends[0].texts] == ["GreedyAC", "SAC"]
     assert [axes.texts[0].get_text() for axes in drawing.figure.axes] == ["tuned per environment", "tuned across environments"]
-    assert drawing.figure.axes[0].get_xlabel() == "Normalized score τ (thesis)"
+    assert drawing.figure.axes[0].get_xlabel() == "Normalized score (thesis)"
     title = drawing.figure.get_suptitle().replace("\n", " ")
     assert "4 evaluation runs each, 1,000 steps, episode mean, normalizer thesis, 2 environments" in title
     assert "pointwise 95 % stratified bootstrap band" in title
