@@ -29,6 +29,8 @@ EVERYWHERE = "all"
 """In place of an environment: over all that both sides have."""
 
 PERMUTATION = "paired permutation"
+ENOUGH = 10
+"""Pairs from which on the interval is a bootstrap: of fewer it is too narrow, and Student's holds (docs/statistics.md)."""
 
 studies = studies_with_chosen_runs
 
@@ -50,9 +52,9 @@ def build(connection: duckdb.DuckDBPyConnection, study: str, options: Options) -
     on each environment in units of the score, and over all environments that both have (environment all) of normalized
     scores. Runs are those of the evaluation stage, or the tuning runs of a study without one; diverged runs count by the study's
     rule (worst return, or left out).
-    Where both sides have the same seeds, runs are paired by seed: the 95 % interval is a percentile
-    bootstrap of the differences (10,000 resamples of seeds, drawn jointly for all environments) and the p-value that of the
-    paired permutation test; otherwise both are Welch's, and over all environments the interval is a stratified bootstrap
+    Where both sides have the same seeds, runs are paired by seed: the 95 % interval is that of Student for the differences, from
+    ten pairs on a percentile bootstrap of them (10,000 resamples of seeds, drawn jointly for all environments), and the p-value
+    that of the paired permutation test; otherwise both are Welch's, and over all environments the interval is a stratified bootstrap
     without a p-value. p_superiority is the probability that a run of the first side is better than one of the second (ties half;
     over environments: the mean of each), cohens_d the difference in pooled standard deviations, p_holm the p-value after Holm's
     correction within its family of num_tests. Where both sides are the same runs the difference is 0 and nothing is tested.
@@ -162,7 +164,8 @@ def _compared(x: np.ndarray, y: np.ndarray, paired: bool, same: bool, seed: int)
         return _measured(
             min(len(x), len(y)), float(x.mean() - y.mean()), np.nan, np.nan, "none", float(improvement(x[None], y[None]))
         )
-    found = compare(x, y, "paired_bootstrap" if paired else "welch", seed=seed)
+    paired_test, paired_name = ("paired_bootstrap", "paired bootstrap") if len(x) >= ENOUGH else ("paired_t", "paired Student")
+    found = compare(x, y, paired_test if paired else "welch", seed=seed)
     tested = compare(x, y, "paired_permutation", seed=seed) if paired else found
     difference, effects = found.difference, found.effects
     return _measured(
@@ -170,7 +173,7 @@ def _compared(x: np.ndarray, y: np.ndarray, paired: bool, same: bool, seed: int)
         difference.value,
         difference.low,
         difference.high,
-        "paired bootstrap" if paired else "Welch",
+        paired_name if paired else "Welch",
         effects.probability_of_superiority,
         effects.cohen_d,
         tested.p_value,

@@ -153,6 +153,13 @@ def test_a_width_without_noise_is_certain(tmp_path):
     assert drawing.notes[-1].startswith("intervals: 95 %, percentile bootstrap of the tuning seeds, 1,000 resamples")
 
 
+@pytest.mark.parametrize(("seeds", "expected"), [(2, True), (5, False)])
+def test_widths_of_few_seeds_carry_a_caution(seeds, expected, tmp_path):
+    values = ("critic_step_size", RATES), ("entropy_scale", (1.0, 10.0))
+    notes = draw(study(tmp_path, *values, lambda a, b: a + b, seeds=seeds)).notes
+    assert (f"{seeds} tuning seeds: intervals and widths without the bias of noise say little" in notes) == expected
+
+
 def test_lines_without_an_effect_are_no_wider_than_noise(tmp_path):
     rng = np.random.default_rng(1)
     store = SyntheticStore(tmp_path / "store")

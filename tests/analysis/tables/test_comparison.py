@@ -49,12 +49,22 @@ def sign_flips(differences):
 def test_a_pair_of_agents_is_compared_seed_by_seed(table):
     found = row(table, "GreedyAC", "Pendulum-CA", "per-environment")
     differences = np.subtract(GREEDY, SAC)
-    assert (found["second"], found["num_runs"], found["interval"]) == ("SAC", 6, "paired bootstrap")
+    assert (found["second"], found["num_runs"], found["interval"]) == ("SAC", 6, "paired Student")
     assert found["difference"] == pytest.approx(differences.mean())
-    means = np.random.default_rng(5).choice(differences, (100_000, 6)).mean(1)
-    assert (found["low"], found["high"]) == pytest.approx(tuple(np.quantile(means, [0.025, 0.975])), abs=0.03)
+    interval = stats.ttest_rel(GREEDY, SAC).confidence_interval(0.95)
+    assert (found["low"], found["high"]) == pytest.approx((interval.low, interval.high))
     assert found["p_value"] == pytest.approx(sign_flips(differences))
     assert found["test"] == "paired permutation"
+
+
+def test_from_ten_pairs_on_the_interval_is_a_bootstrap(tmp_path):
+    greedy, sac = [5.0 + n % 4 for n in range(10)], [4.0 + n % 3 for n in range(10)]
+    found = row(
+        built(write(tmp_path, same_everywhere({"GreedyAC": greedy, "SAC": sac}))), "GreedyAC", "Pendulum-CA", "per-environment"
+    )
+    assert found["interval"] == "paired bootstrap"
+    means = np.random.default_rng(5).choice(np.subtract(greedy, sac), (100_000, 10)).mean(1)
+    assert (found["low"], found["high"]) == pytest.approx(tuple(np.quantile(means, [0.025, 0.975])), abs=0.03)
 
 
 def test_effect_sizes_are_those_of_the_two_groups(table):

@@ -45,6 +45,12 @@ def test_a_grid_of_an_interaction_alone_gives_it_everything(tmp_path):
     assert shares(build(study(tmp_path, scores)))["critic_step_size × entropy_scale"] == pytest.approx(1)
 
 
+def test_intervals_of_few_seeds_carry_a_caution(tmp_path):
+    caution = "2 seeds: intervals say little, and may lie beside their own estimate"
+    assert caution in build(study(tmp_path)).notes
+    assert not any("say little" in note for note in build(study(tmp_path / "more", luck=(-5, 5, 0, 1, -1))).notes)
+
+
 def test_hyperparameters_that_were_swept_as_pairs_are_one_factor(tmp_path):
     scores = {(0.1, 1.0): 7.0, (0.1, 0.1): -1.0, (0.01, 1.0): 1.0, (0.01, 0.1): -7.0, (0.001, 1.0): 4.0, (0.001, 0.1): -4.0}
     table = build(study(tmp_path, scores, kappa={0.1: 1.0, 0.01: 1.0, 0.001: 10.0}))
