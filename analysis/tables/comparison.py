@@ -54,7 +54,8 @@ def build(connection: duckdb.DuckDBPyConnection, study: str, options: Options) -
     rule (worst return, or left out).
     Where both sides have the same seeds, runs are paired by seed: the 95 % interval is that of Student for the differences, from
     ten pairs on a percentile bootstrap of them (10,000 resamples of seeds, drawn jointly for all environments), and the p-value
-    that of the paired permutation test; otherwise both are Welch's, and over all environments the interval is a stratified bootstrap
+    that of the paired permutation test; otherwise both are Welch's, and over all environments the interval is a stratified
+    bootstrap
     without a p-value. p_superiority is the probability that a run of the first side is better than one of the second (ties half;
     over environments: the mean of each), cohens_d the difference in pooled standard deviations, p_holm the p-value after Holm's
     correction within its family of num_tests. Where both sides are the same runs the difference is 0 and nothing is tested.
