@@ -10,15 +10,16 @@ Parquet is read by pyarrow and handed to DuckDB as Arrow datasets, for three rea
 A connection sees the files that lay in the store when it was opened: views are evaluated when they are queried, but a
 shard committed later appears only in a new connection, so that everything read through one connection is of one state. So what
 is small is read once: the columns of `trials`, `members` and `selections` that were asked for, what studies' grids say of rules
-(`grid_rules`), and the views that others read.
+(`grid_rules`), and the views that others read. `early_episodes` are those of shards where `trials` does not say the worst episode
+of each: a plan that names `episodes` begins to read all of it, though it may need none.
 (DuckDB writes a view out wherever it is named: the choices of a study would be a plan with a hundred scans of the same files.)
 """
 
 import re
 import tempfile
 import uuid
-from collections.abc import Mapping
-from functools import partial
+from collections.abc import Callable, Mapping
+from functools import cache, partial
 from graphlib import TopologicalSorter
 from importlib import resources
 from pathlib import Path
@@ -50,7 +51,6 @@ _STUDY_TABLES = {
     "members": schema.with_hypers(schema.MEMBERS, _HYPERS),
     "selections": schema.with_hypers(schema.SELECTIONS, _HYPERS, after="setting"),
 }
-_OPEN_TABLES = ("trials", "members", "selections")  # files may add hyperparameters of algorithms that are not registered here
 _LARGE_VIEWS = ("completed_episodes", "learning_curves")  # not kept, whoever reads them
 
 
@@ -75,6 +75,7 @@ def connect(store: str | Path, threads: int | None = None) -> duckdb.DuckDBPyCon
         **({"threads": threads} if threads else {}),
     }
     connection = _opened(config, relations)
+    evaluator = cache(partial(_opened, config, {}))
     sources = view_sources()
     tables = tuple((name, dataset.schema) for name, dataset in relations.items())
     kept = set().union(*(_relations(select) for select in sources.values())) - {*_LARGE_VIEWS}
@@ -83,7 +84,7 @@ def connect(store: str | Path, threads: int | None = None) -> duckdb.DuckDBPyCon
             read = {known: relations[known] for known in _relations(select) if known in relations}
             if (name, tables) not in _COLUMNS:
                 _COLUMNS[name, tables] = connection.sql(select).limit(0).to_arrow_table().schema
-            relations[name] = read_once(_COLUMNS[name, tables], partial(_evaluate, config, select, read))
+            relations[name] = read_once(_COLUMNS[name, tables], partial(_evaluate, evaluator, select, read))
             connection.register(name, relations[name])
         else:
             connection.execute(f"CREATE VIEW {name} AS {select}")
@@ -94,17 +95,22 @@ def connect(store: str | Path, threads: int | None = None) -> duckdb.DuckDBPyCon
 
 def _opened(config: dict[str, Any], relations: Mapping[str, ds.Dataset]) -> duckdb.DuckDBPyConnection:
     connection = duckdb.connect(config=config)
+    _register(connection, relations)
+    return connection
+
+
+def _register(connection: duckdb.DuckDBPyConnection, relations: Mapping[str, ds.Dataset]) -> None:
     connection.execute("SET TimeZone = 'UTC'")
     connection.execute("SET enable_progress_bar = false")  # it is written to standard output, between the rows
     for name, dataset in relations.items():
         connection.register(name, dataset)
-    return connection
 
 
-def _evaluate(config: dict[str, Any], select: str, read: Mapping[str, ds.Dataset]) -> pa.Table:
+def _evaluate(evaluator: Callable[[], duckdb.DuckDBPyConnection], select: str, read: Mapping[str, ds.Dataset]) -> pa.Table:
     """Return a view's rows, evaluated on a connection of its own: the one that asks is in the midst of a query."""
-    connection = _opened(config, read)
+    connection = evaluator().cursor()
     try:
+        _register(connection, read)
         return connection.sql(select).to_arrow_table()
     finally:
         connection.close()
@@ -130,34 +136,64 @@ def _datasets(store: Store) -> dict[str, ds.Dataset]:
             shards = store.shards()
             for folder in shards:
                 manifest.check_sizes(folder)
-            found = {name: _dataset([folder / f"{name}.parquet" for folder in shards], name) for name in _SHARD_TABLES}
+            files = {name: [folder / f"{name}.parquet" for folder in shards] for name in _SHARD_TABLES}
+            files["evaluations"] = [file for file in files["evaluations"] if file.exists()]
+            footers = {file: _footer(file) for file in files["trials"]}
         except FileNotFoundError:  # compacted since it was listed
             continue
-        for name in _STUDY_TABLES:
-            found[name] = read_by_column(_dataset(sorted(store.path.glob(f"studies/*/{name}.parquet")), name))
+        found = {name: _dataset(files[name], _SHARD_TABLES[name]) for name in ("episodes", "evaluations", "steps")}
+        early = [file.with_name("episodes.parquet") for file, footer in footers.items() if _lacks_worst_episodes(footer)]
+        found["early_episodes"] = _dataset(early, schema.EPISODES)
+        for name, columns in _STUDY_TABLES.items():
+            parts = {file: _footer(file) for file in sorted(store.path.glob(f"studies/*/{name}.parquet"))}
+            found[name] = read_by_column(_dataset([*parts], _with_columns_of(columns, parts)))
+        trials = _dataset([*footers], _with_columns_of(_TRIALS, footers))
+        found["trials"] = read_by_column(_with_failed(trials, store.failures()))
         folders = sorted(folder for folder in store.path.glob("studies/*") if folder.is_dir())
         found["grid_rules"] = read_once(grid_rules.COLUMNS, partial(grid_rules.read_rules, folders))
-        found["trials"] = read_by_column(_with_failed(found["trials"], store.failures()))
         return found
 
 
-def _dataset(files: list[Path], table: str) -> ds.Dataset:
-    """Return the files side by side by column name: declared columns first, NULL where a file lacks one."""
-    files = [file for file in files if file.exists()] if table == "evaluations" else files
-    columns = (_SHARD_TABLES | _STUDY_TABLES)[table].remove_metadata()
+def _footer(file: Path) -> pq.FileMetaData:
+    """Return names and types of a file's columns, and what is known of their values."""
+    try:
+        return pq.read_metadata(file)
+    except FileNotFoundError:
+        file.parent.stat()
+        raise DamagedError(file, "it is missing") from None
+    except (pa.ArrowInvalid, OSError) as error:
+        raise _unreadable(file, error) from None
+
+
+def _unreadable(file: Path, error: Exception) -> UserError:
+    return UserError(f"{file}: cannot be read beside the others ({error})")
+
+
+def _lacks_worst_episodes(trials: pq.FileMetaData) -> bool:
+    """Say whether the worst episode of some trial must be looked up: older files of `trials` lack that column."""
+    if "worst_episode" not in trials.schema.names:
+        return True
+    column = trials.schema.names.index("worst_episode")
+    return any(trials.row_group(group).column(column).statistics.null_count for group in range(trials.num_row_groups))
+
+
+def _with_columns_of(columns: pa.Schema, footers: Mapping[Path, pq.FileMetaData]) -> pa.Schema:
+    """Return the declared columns, then those of the files: hyperparameters of algorithms that are not registered here."""
     known: set[pa.Schema] = set()
-    for file in files if table in _OPEN_TABLES else ():
+    for file, footer in footers.items():
         try:
-            more = pq.read_schema(file).remove_metadata()
+            more = footer.schema.to_arrow_schema().remove_metadata()
             columns = columns if more in known else _side_by_side(columns, more)
             known.add(more)
-        except FileNotFoundError:
-            file.parent.stat()
-            raise DamagedError(file, "it is missing") from None
         except (pa.ArrowInvalid, OSError) as error:
-            raise UserError(f"{file}: cannot be read beside the others ({error})") from None
+            raise _unreadable(file, error) from None
+    return columns
+
+
+def _dataset(files: list[Path], columns: pa.Schema) -> ds.Dataset:
+    """Return the files side by side by column name, NULL where a file lacks a column."""
     checked = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
-    return ds.dataset(files, schema=columns, format=ds.ParquetFileFormat(default_fragment_scan_options=checked))
+    return ds.dataset(files, schema=columns.remove_metadata(), format=ds.ParquetFileFormat(default_fragment_scan_options=checked))
 
 
 def _with_failed(trials: ds.Dataset, failures: list[Failure]) -> ds.Dataset:

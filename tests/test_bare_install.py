@@ -170,7 +170,7 @@ def test_a_doctor_examines_a_machine_where_nothing_but_the_command_line_is_insta
         (["analyze", "--figure", "7.1"], "duckdb"),
         (["analyze", "--figure", "7.1"], "pandas"),
         (["analyze", "--figure", "7.1"], "matplotlib"),
-        (["analyze", "--figure", "7.1"], "seaborn"),
+        (["analyze", "--figure", "2.1"], "seaborn"),
     ],
 )
 def test_a_command_that_lacks_a_package_names_it_and_a_way_out(trained, arguments, missing):
@@ -187,6 +187,20 @@ def test_sql_needs_no_plotting_library(trained):
     folder, _ = trained
     ran = python(SWEEP, "sql", "SELECT 1", "--format", "csv", cwd=folder, without={"pandas", "matplotlib", "seaborn", "ray"})
     assert (ran.returncode, ran.stdout.split()[-1]) == (0, "1")
+
+
+def test_a_query_imports_no_pandas_and_who_asks_for_it_later_has_it(trained):
+    folder, _ = trained
+    code = """
+import sys
+from sweep.commands.results import sql
+sql("SELECT count(*) AS trials FROM trials")
+assert "pandas" not in sys.modules
+from analysis import connect
+print(connect("results").sql("SELECT 3 AS x").df())
+"""
+    ran = python(code, cwd=folder)
+    assert (ran.returncode, ran.stdout.split()[-3:]) == (0, ["x", "0", "3"]), ran.stderr
 
 
 def test_an_environment_that_only_gymnasium_could_know_is_a_mistake_in_the_grid_where_gymnasium_is_missing(tmp_path):

@@ -25,9 +25,12 @@ scored AS (
         * EXCLUDE (rule),
         CASE rule WHEN 'episode_mean' THEN episode_mean WHEN 'step_mean' THEN step_mean WHEN 'final_mean' THEN final_mean END AS score
     FROM counted
+),
+settings AS (
+    SELECT study, stage, agent, environment, setting, BOOL_AND(is_dropped OR score IS NOT NULL) AND COUNT(score) > 0 AS is_complete
+    FROM scored
+    GROUP BY study, stage, agent, environment, setting
 )
-SELECT
-    *,
-    BOOL_AND(is_dropped OR score IS NOT NULL) OVER same_setting AND COUNT(score) OVER same_setting > 0 AS is_complete
+SELECT *
 FROM scored
-WINDOW same_setting AS (PARTITION BY study, stage, agent, environment, setting)
+INNER JOIN settings USING (study, stage, agent, environment, setting)

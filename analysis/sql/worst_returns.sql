@@ -1,6 +1,6 @@
 -- One row per (study, environment).
 -- The lowest return of one completed episode, over the study's tuning trials: the score of a diverged trial (rule "worst").
--- Trials of stores that do not know their worst episode yet are looked up in `episodes`.
+-- Trials of older shards, which do not say their worst episode, are looked up in `early_episodes`.
 WITH tuning AS (
     SELECT members.study, members.environment, members.trial, trials.worst_episode, trials.best_episode
     FROM members
@@ -8,12 +8,12 @@ WITH tuning AS (
     WHERE members.stage = 'tune'
 ),
 looked_up AS (
-    SELECT unknown.trial, MIN(CAST(episodes.episodic_return AS DOUBLE)) AS worst_episode
-    FROM episodes
+    SELECT unknown.trial, MIN(CAST(early_episodes.episodic_return AS DOUBLE)) AS worst_episode
+    FROM early_episodes
     INNER JOIN (
         SELECT DISTINCT trial FROM tuning WHERE worst_episode IS NULL AND best_episode IS NOT NULL
-    ) AS unknown ON unknown.trial = episodes.trial
-    WHERE episodes.ending IN ('terminated', 'truncated') AND ISFINITE(episodes.episodic_return)
+    ) AS unknown ON unknown.trial = early_episodes.trial
+    WHERE early_episodes.ending IN ('terminated', 'truncated') AND ISFINITE(early_episodes.episodic_return)
     GROUP BY unknown.trial
 )
 SELECT

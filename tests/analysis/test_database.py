@@ -35,7 +35,7 @@ def columns(connection: duckdb.DuckDBPyConnection, view: str) -> list[str]:
 def test_every_table_and_view_of_an_empty_store_is_typed_and_empty(empty_store):
     connection = connect(empty_store)
     names = [row[0] for row in connection.execute("SHOW TABLES").fetchall()]
-    tables = {"trials", "episodes", "evaluations", "steps", "members", "selections", "grid_rules"}
+    tables = {"trials", "episodes", "early_episodes", "evaluations", "steps", "members", "selections", "grid_rules"}
     assert set(names) == tables | view_sources().keys()
     filled = [name for name in names if connection.execute(f"SELECT count(*) FROM {name}").fetchone()[0]]
     assert filled == ["student_quantiles"]
