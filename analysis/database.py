@@ -137,7 +137,8 @@ def _datasets(store: Store) -> dict[str, ds.Dataset]:
             for folder in shards:
                 manifest.check_sizes(folder)
             files = {name: [folder / f"{name}.parquet" for folder in shards] for name in _SHARD_TABLES}
-            files["evaluations"] = [file for file in files["evaluations"] if file.exists()]
+            for name in ("evaluations", "steps"):
+                files[name] = [file for file in files[name] if file.exists()]
             footers = {file: _footer(file) for file in files["trials"]}
         except FileNotFoundError:  # compacted since it was listed
             continue

@@ -2,7 +2,7 @@
 
 - The files have the columns of `schema`, and tell of the same trials; each trial has one row in `trials`.
 - A trial's episodes lie side by side, count from 0, and begin where the one before ended; their lengths sum to the trial's steps.
-- `steps` is the episodes, spelled out row by row.
+- `steps` is the episodes, spelled out row by row, or it is not there.
 - The scores follow from the episodes (thesis section 6.1).
 """
 
@@ -55,7 +55,7 @@ def breaches(folder: Path, with_steps: bool = True) -> list[Breach]:
     found = [Breach(folder / file, what, tuple(who)) for file, what, who in runs.breaches() if who]
     if (folder / EVALUATIONS).exists():
         found += _evaluation_breaches(folder / EVALUATIONS, every)
-    if with_steps and not found:
+    if with_steps and not found and (folder / STEPS).exists():
         found += _step_breaches(folder / STEPS, runs, every)
     return found
 

@@ -54,8 +54,10 @@ class MergeReport:
     study_conflicts: list[str] = field(default_factory=list)
 
 
-def merge(store: Store, others: Sequence[Store], *, say: Callable[[str], None] = lambda _: None) -> MergeReport:
-    """Bring what other stores have into one. Failures are not brought.
+def merge(
+    store: Store, others: Sequence[Store], *, with_steps: bool = True, say: Callable[[str], None] = lambda _: None
+) -> MergeReport:
+    """Bring what other stores have into one. Failures are not brought, and `steps` only with `with_steps`.
 
     Raises UserError, before anything is written, for a store that is damaged, and for one that is given twice or is the
     target; UnwritableError when the target cannot be written to. `say` is told what is under way.
@@ -74,7 +76,7 @@ def merge(store: Store, others: Sequence[Store], *, say: Callable[[str], None] =
             shards = other.shards()
             for number, folder in enumerate(shards, 1):
                 say(f"{other.path}: {number:,} of {len(shards):,} shards")
-                report.trials += _merge_shard(here, folder, other, report)
+                report.trials += _merge_shard(here, folder, other, report, with_steps)
             for study in other.studies():
                 _merge_study(store, other, study, report)
     except FileNotFoundError as error:
@@ -118,7 +120,7 @@ class _Owned:
         return self._read[1][trial], self._read[2][trial]
 
 
-def _merge_shard(here: _Owned, folder: Path, other: Store, report: MergeReport) -> int:
+def _merge_shard(here: _Owned, folder: Path, other: Store, report: MergeReport, with_steps: bool) -> int:
     """Bring the trials of a shard that are new, and compare the others; return how many were new."""
     trials = shard_files.trials_in(folder)
     known = trials & here.folder_of.keys()
@@ -128,7 +130,7 @@ def _merge_shard(here: _Owned, folder: Path, other: Store, report: MergeReport) 
     report.same += len(known)
     if known == trials:
         return 0
-    brought = here.store.commit_copy(folder.name, folder)
+    brought = here.store.commit_copy(folder.name, folder, with_steps)
     here.look_around()
     return brought
 

@@ -61,7 +61,7 @@ def _file_problems(folder: Path, shard: CheckedShard) -> Iterator[Problem]:
         return Problem(folder.name, folder / name, tuple(sorted(shard.trials)), what)
 
     expected = set(known.files) if known else {TRIALS, EPISODES, STEPS}
-    for name in sorted({TRIALS, EPISODES, STEPS} | expected):
+    for name in sorted({TRIALS, EPISODES} | expected):
         if name not in there:
             yield problem(name, "it is missing")
         elif known is None:
@@ -74,8 +74,9 @@ def _file_problems(folder: Path, shard: CheckedShard) -> Iterator[Problem]:
             yield problem(name, "its content is not what was written (SHA-256)")
         elif rows_in(folder / name) != known.files[name].rows:
             yield problem(name, f"{rows_in(folder / name):,} rows, {known.files[name].rows:,} were written")
-    if known and EVALUATIONS in there and EVALUATIONS not in expected:
-        yield problem(EVALUATIONS, "the manifest does not name it")
+    for name in (EVALUATIONS, STEPS):
+        if known and name in there and name not in expected:
+            yield problem(name, "the manifest does not name it")
 
 
 def _trials_anywhere(folder: Path) -> frozenset[str]:

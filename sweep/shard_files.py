@@ -17,11 +17,11 @@ _WRITING: dict[str, Any] = {"compression": "zstd", "write_page_checksum": True, 
 _UNREADABLE = (OSError, ValueError, pa.ArrowException)
 
 
-def write(folder: Path, tables: ShardTables, replaces: tuple[str, ...] = ()) -> None:
+def write(folder: Path, tables: ShardTables, replaces: tuple[str, ...] = (), with_steps: bool = True) -> None:
     """Write and flush a shard's files and their manifest. Of `steps`, one row group at a time is in memory.
 
-    `steps` costs about as much as the episodes because the step numbers are stored as differences and the returns by
-    dictionary and run length: plain encodings are a hundred times larger.
+    `steps` is the episodes spelled out, and may be left out. It costs about as much as they do because step numbers are stored as
+    differences and returns by dictionary and run length: plain encodings are a hundred times larger.
     """
     entries = {
         TRIALS: _write_table(folder / TRIALS, tables.trials),
@@ -29,15 +29,20 @@ def write(folder: Path, tables: ShardTables, replaces: tuple[str, ...] = ()) -> 
     }
     if tables.evaluations is not None:
         entries[EVALUATIONS] = _write_table(folder / EVALUATIONS, tables.evaluations)
+    if with_steps:
+        entries[STEPS] = _write_steps(folder / STEPS, tables)
+    Manifest(entries, replaces).write(folder)
+    flush_folder(folder)
+
+
+def _write_steps(file: Path, tables: ShardTables) -> Entry:
     encodings = {"use_dictionary": ["trial", "episodic_return"], "column_encoding": {"step": "DELTA_BINARY_PACKED"}}
     rows = 0
-    with flushed(folder / STEPS) as sink, pq.ParquetWriter(sink, schema.STEPS, **_WRITING, **encodings) as writer:
+    with flushed(file) as sink, pq.ParquetWriter(sink, schema.STEPS, **_WRITING, **encodings) as writer:
         for batch in tables.steps_in_blocks(_ROW_GROUP_ROWS):
             writer.write_batch(batch)
             rows += batch.num_rows
-    entries[STEPS] = _entry(sink, rows)
-    Manifest(entries, replaces).write(folder)
-    flush_folder(folder)
+    return _entry(sink, rows)
 
 
 def _write_table(file: Path, table: pa.Table) -> Entry:
@@ -78,11 +83,13 @@ def read_table(file: Path, columns: list[str] | None = None) -> pa.Table:
         raise DamagedError(file, f"cannot be read ({_first_line(error)})") from None
 
 
-def copy(source: Path, target: Path) -> None:
+def copy(source: Path, target: Path, with_steps: bool = True) -> None:
     """Copy a shard's files, and write and flush their manifest. Raises DamagedError for one that is not what was written."""
     known = manifest.read(source)
     entries = {}
     for name in known.files if known else sorted(file.name for file in source.glob("*.parquet")):
+        if name == STEPS and not with_steps:
+            continue
         try:
             sink = files.copy(source / name, target / name)
         except FileNotFoundError:

@@ -2,7 +2,8 @@
 
     sweep-store.json                                marks the folder as a store
     shards/<shard>/{trials,episodes,steps}.parquet  trials that were trained together: visible whole or not at all; with
-                                                    evaluations.parquet where there are evaluation episodes
+                                                    evaluations.parquet where there are evaluation episodes; a shard may do
+                                                    without steps.parquet, which is the episodes spelled out
     shards/<shard>/manifest.json                    sizes, rows and checksums of these files (`sweep.manifest`)
     studies/<study>/  failures/<shard>.json         what a study needs (`sweep.study_files`); what failed (`sweep.failures`)
     .staging/  .progress/  .quarantine/  .lock      work under way, and damaged shards; never read as results
@@ -152,15 +153,26 @@ class Store:
         """
         return self._commit(shard, tables.trials["trial"].to_pylist(), lambda to: shard_files.write(to, tables), lambda: tables)
 
-    def commit_copy(self, shard: str, source: Path) -> int:
+    def commit_copy(self, shard: str, source: Path, with_steps: bool = True) -> int:
         """Commit a copy of the folder of another store's shard; of trials that are here, the rows are left out.
 
         Returns how many trials were new. Raises as `commit` does, and DamagedError for a file that is not what was written there.
         """
         trials = shard_files.trials_in(source)
-        return self._commit(shard, trials, lambda to: shard_files.copy(source, to), lambda: shard_files.read(source))
 
-    def _commit(self, shard: str, trials: Iterable[str], write: Callable[[Path], None], read: Callable[[], ShardTables]) -> int:
+        def copy(to: Path) -> None:
+            shard_files.copy(source, to, with_steps)
+
+        return self._commit(shard, trials, copy, lambda: shard_files.read(source), with_steps)
+
+    def _commit(
+        self,
+        shard: str,
+        trials: Iterable[str],
+        write: Callable[[Path], None],
+        read: Callable[[], ShardTables],
+        with_steps: bool = True,
+    ) -> int:
         new = set(trials)
         with self.staged(shard) as staging:
             write(staging)
@@ -168,7 +180,7 @@ class Store:
                 present = self._finished(check=False) & new
                 new -= present
                 if present and new:
-                    shard_files.write(staging, read().without(present))
+                    shard_files.write(staging, read().without(present), with_steps=with_steps)
                 if new:
                     self.publish(staging, self.free_name(shard))
         with contextlib.suppress(UserError):

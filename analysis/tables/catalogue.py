@@ -57,6 +57,7 @@ KINDS = (
     Entry("selection", "selection", "How certain the choice of settings is"),
     Entry("sensitivity", "sensitivity", "Hyperparameter sensitivity and effective dimensionality"),
     Entry("importance", "importance", "Share of the variance that each hyperparameter explains"),
+    Entry("claims", "claims", "What the thesis says of its figures, and what these runs say to it"),
     Entry("normalizers", "normalizers", "Settings chosen under each normalizer, and with one environment left out"),
 )
 TABLES: dict[str, Entry] = {entry.name: entry for entry in (*THESIS, *KINDS)}

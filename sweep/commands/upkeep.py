@@ -63,6 +63,9 @@ def compact(store: StoreOption = DEFAULT_STORE, as_json: JsonOption = False) -> 
 def merge(
     others: Annotated[list[Path], typer.Argument(metavar="OTHER", help="Stores to bring in; they stay as they are.")],
     store: StoreOption = DEFAULT_STORE,
+    without_steps: Annotated[
+        bool, typer.Option("--without-steps", help="Leave out `steps`: for a small store, to publish beside a paper.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Bring the trials, studies and selections of other stores into this one. Exit code 2: some differ from what is here."""
@@ -74,7 +77,7 @@ def merge(
 
     sources = [Store.open(other) for other in others]
     with _saying("merging") as say:
-        report = merge(Store.create(store), sources, say=say)
+        report = merge(Store.create(store), sources, with_steps=not without_steps, say=say)
     if as_json:
         conflicts = [{**vars(one), "store": str(one.store)} for one in report.conflicts]
         typer.echo(json.dumps({**vars(report), "conflicts": conflicts}))

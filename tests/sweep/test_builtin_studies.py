@@ -57,8 +57,10 @@ def ids(name):
 
 def test_the_built_in_studies_are_these():
     thesis = ["chapter-3", "chapter-6", "figure-7.1", "figure-7.2"]
-    names = [f"thesis/{name}" for name in thesis] + [f"thesis/small/{name}" for name in thesis]
-    assert list(builtin_grids()) == ["quickstart", *names]
+    entropy = ["entropy-gradient-sampled", "entropy-gradient-score"]
+    published = ["published-across-environments", "published-per-environment", "published-sample-size"]
+    names = [*thesis[:2], *entropy, *thesis[2:], *published, *(f"small/{name}" for name in thesis)]
+    assert list(builtin_grids()) == ["quickstart", *(f"thesis/{name}" for name in names)]
 
 
 @pytest.mark.parametrize("name", builtin_grids())
@@ -208,3 +210,36 @@ def test_small_chapter_3_ends_within_an_hour_on_two_cores():
     evaluating = sum(trial.steps // trial.evaluation[0] * trial.cutoff for trial in trials)
     assert {trial.agent for trial in trials} == {"SAC-original", "DDPG"}
     assert learning + evaluating <= 600 * 3_600
+
+
+@pytest.mark.parametrize(("name", "by"), [("per-environment", None), ("across-environments", "across")])
+def test_the_published_studies_have_the_printed_settings_and_thirty_seeds(name, by):
+    trials = expand(load(f"thesis/published-{name}"))
+    assert len(trials) == 540
+    for agent, printed in TUNED.items():
+        for environment in CONTINUOUS + DISCRETE:
+            scale, step_size, entropy_scale = printed[by or environment]
+            of_both = [t for t in trials if (t.agent, t.environment) == (agent, environment)]
+            assert sorted(t.seed for t in of_both) == list(range(10, 40))
+            assert {t.steps for t in of_both} == {100_000}
+            (hypers,) = {t.setting: t.applicable_hypers for t in of_both}.values()
+            assert (hypers["actor_step_size_scale"], hypers["critic_step_size"]) == (scale, step_size)
+            if (agent, environment[-2:]) != ("GreedyAC", "DA"):
+                assert hypers["entropy_scale"] == entropy_scale
+
+
+def test_the_sample_sizes_share_the_trials_of_thirty_samples_with_the_published_settings():
+    trials = expand(load("thesis/published-sample-size"))
+    samples = [(t.environment, t.applicable_hypers["num_action_samples"], t.setting) for t in trials]
+    assert [known[:2] for known in samples] == [(environment, n) for environment in CONTINUOUS for n in (10, 20, 30)]
+    printed = {t.setting for t in expand(load("thesis/published-per-environment")) if t.agent == "GreedyAC"}
+    assert [known[1] for known in samples if known[2] in printed] == [30, 30, 30]
+
+
+def test_the_entropy_gradient_studies_differ_in_the_gradient_alone():
+    sampled, score = (expand(load(f"thesis/entropy-gradient-{name}")) for name in ("sampled", "score"))
+    assert {t.id for t in sampled if t.agent == "SAC"} == {t.id for t in score if t.agent == "SAC"}
+    for trials, name in ((sampled, "sampled"), (score, "score")):
+        greedy = [t for t in trials if t.agent == "GreedyAC"]
+        assert {t.applicable_hypers["entropy_gradient"] for t in greedy} == {name}
+        assert (len(greedy), len({t.setting for t in greedy}), len(trials)) == (300, 150, 600)

@@ -242,7 +242,7 @@ def test_whichever_call_of_a_merge_fails_it_can_be_repeated(tmp_path, store, oth
 def test_a_store_that_was_compacted_meanwhile_is_said_to_be(store, other, monkeypatch):
     other.commit("b", tables([2]))
 
-    def gone(self, shard, source):
+    def gone(self, shard, source, with_steps):
         raise FileNotFoundError(2, "No such file or directory", str(Path("shards") / shard))
 
     monkeypatch.setattr(Store, "commit_copy", gone)
@@ -262,3 +262,33 @@ def test_a_file_that_is_damaged_after_it_was_checked_is_not_brought(store, other
         store.commit_copy("b", folder)
     assert seeds(store) == [0, 1]
     assert not list(store.path.glob(".staging/*"))
+
+
+def test_without_steps_everything_but_the_spelled_out_episodes_is_brought(store, other):
+    other.commit("b", tables([2, 3], evaluated=True))
+    other.commit("c", tables([1, 4]))  # seed 1 is here already: the rest is written anew
+    merge(store, [other], with_steps=False)
+    assert seeds(store) == [0, 1, 2, 3, 4]
+    shards = {folder.name: {file.name for file in folder.glob("*.parquet")} for folder in store.shards()}
+    tables_of_all = {"trials.parquet", "episodes.parquet"}
+    assert shards == {"a": tables_of_all | {"steps.parquet"}, "b": tables_of_all | {"evaluations.parquet"}, "c": tables_of_all}
+    assert verify(store).problems == ()
+    assert {row["trial"] for row in rows(store.path, "steps")} == {trial(0).id, trial(1).id}
+
+
+def test_a_file_of_steps_that_nobody_wrote_is_a_problem(store, other):
+    other.commit("b", tables([2, 3]))
+    merge(store, [other], with_steps=False)
+    shutil.copy(other.path / "shards" / "b" / "steps.parquet", store.path / "shards" / "b")
+    assert [problem.what for problem in verify(store).problems] == ["the manifest does not name it"]
+
+
+def test_compaction_spells_the_episodes_out_again(store, other, tmp_path):
+    other.commit("b", tables([2, 3]))
+    other.commit("c", tables([4, 5]))
+    small = Store.create(tmp_path / "small")
+    merge(small, [other], with_steps=False)
+    compact(small)
+    assert verify(small).problems == ()
+    spelled_out = [sorted(map(str, rows(known.path, "steps"))) for known in (small, other)]
+    assert spelled_out[0] == spelled_out[1]

@@ -1,0 +1,71 @@
+"""What the thesis says of its figures, and what stored runs say to it."""
+
+import duckdb
+import numpy as np
+import pandas as pd
+
+from analysis.claims.claims import thesis_claims
+from analysis.claims.judging import Judged, describe, judge
+from analysis.claims.runs import WINDOW_MEANS, Runs
+from analysis.figures.options import NoDataError, Options
+from analysis.tables.table import Table
+
+TAKES = ()
+
+
+def studies(connection: duckdb.DuckDBPyConnection, options: Options) -> list[str]:
+    """Return the studies that claims are about and that have runs."""
+    about = dict.fromkeys(claim.study for claim in thesis_claims().claims)
+    rows = connection.execute("SELECT DISTINCT study FROM study_trials WHERE status IN ('finished', 'diverged')").fetchall()
+    known = {row[0] for row in rows}
+    return [study for study in about if study in known]
+
+
+def build(connection: duckdb.DuckDBPyConnection, study: str, options: Options) -> Table:
+    """Statements of the thesis' chapters 6 and 7 about its figures, each with the tests that were named for it beforehand
+    (analysis/claims/thesis.toml): a row for each test, with d (the first mean return less the second), its 95 % interval, what is
+    claimed of d, and the one-sided p-value. A statement is confirmed if all of its tests are: p_holm is the largest of their
+    p-values, after Holm's correction for all statements about the study. It is not confirmed if the interval of some test lies
+    outside what is claimed; otherwise these runs leave it undecided. Intervals of means are Welch's and Satterthwaite's, those of
+    widths basic parametric bootstraps of the settings (2,000 resamples).
+    """
+    every = thesis_claims()
+    claims = [claim for claim in every.claims if claim.study == study]
+    if not claims:
+        about = ", ".join(dict.fromkeys(claim.study for claim in every.claims))
+        raise NoDataError(f'no claim is about study "{study}"; there are some about {about}')
+    judged = judge(claims, every, Runs(connection), options.seed)
+    rows = [row for one in judged for row in _rows(one)]
+    notes = [f"{one.claim.name} {one.verdict}: {one.claim.statement}{f' ({one.why})' if one.why else ''}" for one in judged]
+    if not rows:
+        raise NoDataError(f'study "{study}": no claim about it can be tested yet: {judged[0].why}')
+    counts = pd.Series([one.verdict for one in judged]).value_counts()
+    summary = ", ".join(f"{count} {verdict}" for verdict, count in counts.items())
+    notes.append(
+        f"study {study}: {len(judged)} statements: {summary}; returns that differ by less than {every.margin:g} are similar"
+    )
+    return Table(pd.DataFrame(rows), notes, WINDOW_MEANS)
+
+
+def _rows(one: Judged) -> list[dict[str, object]]:
+    return [
+        {
+            "claim": one.claim.name,
+            "verdict": one.verdict,
+            "d": describe(evidence.test),
+            "value": float(np.round(evidence.estimate.value, 4)),
+            "low": float(np.round(evidence.estimate.low, 4)),
+            "high": float(np.round(evidence.estimate.high, 4)),
+            "claimed": _claimed(*evidence.claimed),
+            "num_runs": evidence.estimate.num_runs,
+            "p_value": evidence.p_value,
+            "p_holm": one.p_holm,
+        }
+        for evidence in one.evidence
+    ]
+
+
+def _claimed(low: float, high: float) -> str:
+    if np.isinf(high):
+        return f"> {low:g}"
+    return f"< {high:g}" if np.isinf(low) else f"within ±{high:g}"

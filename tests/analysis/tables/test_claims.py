@@ -1,0 +1,48 @@
+"""The table of claims: a row for each test, the statement and its verdict below it, and what no run can say yet."""
+
+import pytest
+from synthetic_store import SyntheticStore
+
+from analysis import connect
+from analysis.claims.claims import thesis_claims
+from analysis.figures.options import NoDataError, Options
+from analysis.tables import claims
+
+STUDY = "published-per-environment"
+
+
+@pytest.fixture
+def store(tmp_path):
+    store = SyntheticStore(tmp_path)
+    for agent, level in (("SAC", 900.0), ("GreedyAC", 870.0), ("VanillaAC", 600.0)):
+        for seed in range(8):
+            store.finish(store.plan(STUDY, agent, "Pendulum-CA", seed), [level + seed] * 10)
+    store.finish(store.plan("another", "SAC", "Pendulum-CA", 99), [1.0])
+    return connect(store.write_studies())
+
+
+def test_each_test_has_a_row_and_each_statement_a_verdict(store):
+    table = claims.build(store, STUDY, Options())
+    rows = {(row.claim, row.d): row for row in table.data.itertuples()}
+    faster = rows["6.1.1", "first half: SAC − GreedyAC, Pendulum-CA"]
+    assert (faster.verdict, faster.value, faster.claimed, faster.num_runs) == ("confirmed", 30, "> 0", 8)
+    assert faster.p_holm >= faster.p_value
+    about = [claim for claim in thesis_claims().claims if claim.study == STUDY]
+    lines = {line.split(" ")[0]: line for line in table.notes[:-1]}
+    assert list(lines) == [claim.name for claim in about]
+    assert lines["6.1.1"] == "6.1.1 confirmed: On Pendulum-CA, SAC learned faster than both GreedyAC and VanillaAC."
+    assert lines["6.2.1"].startswith("6.2.1 not tested: GreedyAC learned faster than both baselines on Mountain Car-CA. (study ")
+    assert table.notes[-1].startswith(f"study {STUDY}: {len(about)} statements: ")
+
+
+def test_the_correction_is_for_the_statements_that_are_tested(store):
+    data = claims.build(store, STUDY, Options()).data
+    tested = data.drop_duplicates("claim")
+    most = tested.loc[tested["p_holm"].idxmin()]
+    assert most["p_holm"] == pytest.approx(data[data["claim"] == most["claim"]]["p_value"].max() * len(tested))
+
+
+def test_studies_are_those_that_claims_are_about(store):
+    assert claims.studies(store, Options()) == [STUDY]
+    with pytest.raises(NoDataError, match='no claim is about study "another"; there are some about published-per-environment, '):
+        claims.build(store, "another", Options())
