@@ -168,8 +168,9 @@ def _choose(connection: duckdb.DuckDBPyConnection, entry: Entry, study: str | No
     candidates = entry.load().studies(connection, options)
     if not candidates:
         raise NoDataError(f"{what}: no study has data for it yet. Known: {', '.join(known)}")
-    if entry.study is not None and entry.study in candidates:
-        return entry.study
+    made_for_it = [known for known in entry.studies if known in candidates]
+    if made_for_it:
+        return made_for_it[0]
     if len(candidates) > 1:
         raise NoDataError(f"{what}: several studies have data for it; choose with --study: {', '.join(candidates)}")
     return candidates[0]

@@ -122,7 +122,7 @@ def exhibits(
         try:
             if entry.kind == "evaluation_curve" and not has_evaluations:
                 raise NoDataError("no evaluation episodes beside the learning (`study.evaluation` of the grid)")
-            if not entry.study and (numbered := _numbered(shown, entry.kind, environments)):
+            if not entry.studies and (numbered := _numbered(shown, entry.kind, environments)):
                 raise NoDataError(f"shown as {numbered}")
             made = _make(connection, entry, study, rule, seed)
             if made.data.empty:
@@ -151,13 +151,13 @@ def _numbered(shown: Sequence[Exhibit], kind: str, environments: Sequence[str]) 
 def _wanted(study: str, rules: Sequence[str]) -> Iterator[tuple[Entry, str]]:
     """Yield figures and tables, with the rule to ask for, "" where the entry leaves no choice."""
     for entry in everything():
-        if not needs_store(entry) or (entry.study is not None and study not in (entry.study, f"small-{entry.study}")):
+        if not needs_store(entry) or (entry.studies and study.removeprefix("small-") not in entry.studies):
             continue
         # tables put several rules side by side, unless their entry asks for one
         is_of_one_rule = isinstance(entry, FigureEntry) or entry.options.by is not None or len(rules) == 1
         # unasked, it shows all of a few settings, and the choice by the first rule otherwise
         is_answered = entry.kind == "evaluation_curve" and list(rules) == [REGIMES[0]]
-        if entry.study is None and is_of_one_rule and "by" in entry.load().TAKES and not is_answered and rules:
+        if not entry.studies and is_of_one_rule and "by" in entry.load().TAKES and not is_answered and rules:
             yield from ((entry, rule) for rule in REGIMES if rule in rules)
         else:
             yield entry, ""
@@ -182,7 +182,7 @@ def _exhibit(label: str, entry: Entry, rule: str, made: Drawing | Table, picture
     return Exhibit(
         label=label,
         kind=entry.kind,
-        is_numbered=entry.study is not None,
+        is_numbered=bool(entry.studies),
         title=entry.title,
         caption=entry.caption,
         rule=rule,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sweep.messages import UserError
+from sweep.sample import find
 
 if TYPE_CHECKING:
     from cluster.executor import Executor
@@ -42,6 +43,12 @@ class Format(StrEnum):
 
 
 StoreOption = Annotated[Path, typer.Option("--store", envvar="SWEEP_STORE", help="Folder of results.")]
+ReadStoreOption = Annotated[
+    Path,
+    typer.Option(
+        "--store", envvar="SWEEP_STORE", callback=find, help='Folder of results; "sample": runs that come with the package.'
+    ),
+]
 GridArgument = Annotated[
     str, typer.Argument(metavar="GRID", help="A grid file, or a built-in study, such as quickstart or thesis/chapter-6.")
 ]

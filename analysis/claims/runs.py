@@ -1,66 +1,92 @@
-"""The runs that a test is about: their mean returns in a part of the steps, and the scores behind a sensitivity region."""
+"""The runs that tests are about: their mean returns in parts of the steps, and the scores behind a sensitivity region."""
+
+from collections.abc import Iterable
 
 import duckdb
 import numpy as np
+import pandas as pd
 
 from analysis.claims.claims import Side
 from analysis.figures import sensitivity_data
 from analysis.figures.options import NoDataError, Options
 from analysis.figures.query_text import quoted
 
-WINDOW_MEANS = """
--- One row per run: the mean return over a part of its steps, each step with the return of its episode. Completed episodes count;
--- a diverged run has the worst return of the environment. Runs are those of the evaluation stage where the study has one.
-SELECT
-    runs.seed,
-    CASE runs.status
-        WHEN 'diverged' THEN ANY_VALUE(worst_returns.worst_return)
-        ELSE SUM(parts.episodic_return * parts.steps) / SUM(parts.steps)
-    END AS mean_return
-FROM (
-    SELECT study_trials.*, BOOL_OR(study_trials.stage = 'evaluate') OVER () AS is_evaluated
+Window = tuple[float, float]
+_WINDOW_MEANS = """
+-- One row per run and window, a part of its steps from `low` to `high`: the mean return there, each step with the return of its
+-- episode. Completed episodes count; a diverged run has the worst return of the environment. Runs are those of the evaluation
+-- stage where the study has one.
+WITH known AS (
+    SELECT trial, environment, BOOL_OR(stage = 'evaluate') OVER () = (stage = 'evaluate') AS is_meant
     FROM study_trials
     WHERE study = {study}
-) AS known
-INNER JOIN trials AS runs ON runs.trial = known.trial
-INNER JOIN worst_returns ON worst_returns.study = known.study AND worst_returns.environment = known.environment
-INNER JOIN (
+),
+runs AS (
+    SELECT trials.*, worst_returns.worst_return
+    FROM known
+    INNER JOIN trials ON trials.trial = known.trial
+    LEFT JOIN worst_returns ON worst_returns.study = {study} AND worst_returns.environment = known.environment
+    WHERE known.is_meant
+),
+parts AS (
     SELECT
-        episodes.trial,
+        runs.trial,
+        windows.low,
+        windows.high,
         CAST(episodes.episodic_return AS DOUBLE) AS episodic_return,
-        LEAST(episodes.first_step - 1 + episodes.length, {high} * trials.steps)
-        - GREATEST(episodes.first_step - 1, {low} * trials.steps) AS steps
-    FROM episodes
-    INNER JOIN trials ON trials.trial = episodes.trial
-    WHERE episodes.ending IN ('terminated', 'truncated') AND trials.agent = {agent} AND trials.environment = {environment}
-) AS parts ON parts.trial = runs.trial AND parts.steps > 0
-WHERE
-    known.stage = CASE WHEN known.is_evaluated THEN 'evaluate' ELSE 'tune' END
-    AND runs.agent = {agent} AND runs.environment = {environment}{where}
-GROUP BY runs.trial, runs.seed, runs.status
-ORDER BY runs.seed
+        LEAST(episodes.first_step - 1 + episodes.length, windows.high * runs.steps)
+        - GREATEST(episodes.first_step - 1, windows.low * runs.steps) AS steps
+    FROM runs
+    INNER JOIN episodes ON episodes.trial = runs.trial
+    CROSS JOIN (VALUES {windows}) AS windows (low, high)
+    WHERE episodes.ending IN ('terminated', 'truncated')
+)
+SELECT
+    runs.agent,
+    runs.environment,
+    runs.seed,{hypers}
+    parts.low,
+    parts.high,
+    CASE runs.status
+        WHEN 'diverged' THEN ANY_VALUE(runs.worst_return)
+        ELSE SUM(parts.episodic_return * parts.steps) / SUM(parts.steps)
+    END AS mean_return
+FROM runs
+INNER JOIN parts ON parts.trial = runs.trial AND parts.steps > 0
+GROUP BY runs.trial, runs.agent, runs.environment, runs.seed, runs.status,{hypers} parts.low, parts.high
+ORDER BY ALL
 """
 
 
+def window_means(study: str, windows: Iterable[Window], hypers: Iterable[str] = ()) -> str:
+    """Return the SQL of the mean return of each run of a study in these parts of its steps, with some of its hyperparameters."""
+    return _WINDOW_MEANS.format(
+        study=quoted(study),
+        windows=", ".join(f"({low}, {high})" for low, high in sorted(set(windows))),
+        hypers="".join(f' runs."{name}",' for name in sorted(set(hypers))),
+    )
+
+
 class Runs:
-    """What the tests read from a store, each once."""
+    """What the tests read from a store, each study and region once."""
 
     def __init__(self, connection: duckdb.DuckDBPyConnection) -> None:
         self._connection = connection
-        self._known: dict[str, np.ndarray] = {}
+        self._means: dict[str, pd.DataFrame] = {}
 
-    def means(self, side: Side, window: tuple[float, float]) -> np.ndarray:
+    def means(self, side: Side, window: Window) -> np.ndarray:
         """Return the mean returns [n] of the runs of a side in a part of the steps, by seed. NoDataError where there is none."""
-        assert side.environment is not None
-        where = "".join(f' AND runs."{name}" = {value}' for name, value in side.where.items())
-        names = {name: quoted(str(getattr(side, name))) for name in ("study", "agent", "environment")}
-        sql = WINDOW_MEANS.format(**names, low=window[0], high=window[1], where=where)
-        if sql not in self._known:
-            rows = self._connection.execute(sql).fetchall()
-            self._known[sql] = np.array([mean for _, mean in rows if mean is not None], np.float64)
-        if not len(self._known[sql]):
+        sql = window_means(side.study, [window], side.where)
+        if sql not in self._means:
+            self._means[sql] = self._connection.execute(sql).df()
+        rows = self._means[sql]
+        meant = (rows["agent"] == side.agent) & (rows["environment"] == side.environment)
+        for name, value in side.where.items():
+            meant &= rows[name] == value
+        means = rows[meant].sort_values("seed")["mean_return"].dropna().to_numpy(np.float64)
+        if not len(means):
             raise NoDataError(f'study "{side.study}" has no run of {side.text()} on {side.environment} yet')
-        return self._known[sql]
+        return means
 
     def region(self, side: Side, at: tuple[float, ...]) -> np.ndarray:
         """Return scores [X, L, K, S] of critic step-sizes (those of `at`), entropy scales, remaining settings and seeds."""

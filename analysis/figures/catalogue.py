@@ -23,7 +23,7 @@ _CONTINUOUS = ("Acrobot-CA", "MountainCar-CA", "Pendulum-CA")
 
 @dataclass(frozen=True)
 class Entry:
-    """A figure by name: its kind (a module's name), its title, the built-in study made for it, and what is shown of a study.
+    """A figure by name: its kind (a module's name), its title, the built-in studies made for it, and what is shown of a study.
 
     `demonstration`: the function of `agents.demonstrations` that it is drawn from, for a figure that needs no store.
     """
@@ -31,7 +31,7 @@ class Entry:
     name: str
     kind: str
     title: str
-    study: str | None = None
+    studies: tuple[str, ...] = ()
     options: Options = field(default_factory=Options)
     demonstration: str | None = None
 
@@ -48,7 +48,7 @@ class Entry:
 def _curves(number: str, name: str, regime: str) -> Entry:
     options = Options(by=regime, environments=(f"{name.replace(' ', '')}-*",))
     tuned = "tuned per environment" if regime == "per-environment" else "tuned across environments"
-    return Entry(number, "learning_curve", f"Learning on {name}, {tuned}", "chapter-6", options)
+    return Entry(number, "learning_curve", f"Learning on {name}, {tuned}", ("chapter-6", f"published-{regime}"), options)
 
 
 THESIS = (
@@ -57,21 +57,21 @@ THESIS = (
         "3.1",
         "evaluation_curve",
         "SAC and DDPG on HalfCheetah: mean, minimum and maximum of all runs",
-        "chapter-3",
+        ("chapter-3",),
         Options(band="min-max", where={"exploration_noise": "ornstein-uhlenbeck"}),
     ),
     Entry(
         "3.2",
         "evaluation_curve",
         "The same with the five luckiest runs of each agent",
-        "chapter-3",
+        ("chapter-3",),
         Options(band="min-max", where={"exploration_noise": "ornstein-uhlenbeck"}, best_runs=5),
     ),
     Entry(
         "3.3",
         "evaluation_curve",
         "SAC and tuned DDPG on HalfCheetah",
-        "chapter-3",
+        ("chapter-3",),
         Options(band="standard-error", where={"exploration_noise": "gaussian"}),
     ),
     Entry("4.2", "ccem_progression", "The conditional cross-entropy method, update by update", demonstration="ccem_progression"),
@@ -85,14 +85,14 @@ THESIS = (
         "7.1",
         "sensitivity_region",
         "Sensitivity to critic step-size and entropy scale",
-        "figure-7-1",
+        ("figure-7-1", "entropy-gradient-sampled"),
         Options(environments=("*-CA",), x="critic_step_size", over="entropy_scale"),
     ),
     Entry(
         "7.2",
         "learning_curve",
         "GreedyAC with N action samples, three of them elites",
-        "figure-7-2",
+        ("figure-7-2", "published-sample-size"),
         Options(by="per-environment", agents=("GreedyAC",), environments=("*-CA",), over="num_action_samples"),
     ),
 )

@@ -18,12 +18,12 @@ from sweep.messages import UserError, suggestion
 
 @dataclass(frozen=True)
 class Entry:
-    """A table by name: its kind (a module's name), its title, the built-in study made for it, and what is shown of a study."""
+    """A table by name: its kind (a module's name), its title, the built-in studies made for it, and what is shown of a study."""
 
     name: str
     kind: str
     title: str
-    study: str | None = None
+    studies: tuple[str, ...] = ()
     options: Options = field(default_factory=Options)
 
     def load(self) -> ModuleType:
@@ -38,12 +38,23 @@ class Entry:
 
 def _tuned(number: str, agent: str) -> Entry:
     options = Options(by="per-environment", agents=(agent,))
-    return Entry(number, "tuned_settings", f"Settings of {agent}, tuned per environment", "chapter-6", options)
+    return Entry(
+        number,
+        "tuned_settings",
+        f"Settings of {agent}, tuned per environment",
+        ("chapter-6", "published-per-environment"),
+        options,
+    )
 
 
 THESIS = (
-    Entry("6.1", "best_returns", "Approximately optimal returns: the highest of one episode", "chapter-6"),
-    Entry("A.1", "tuned_settings", "Settings tuned across environments", "chapter-6", Options(by="across-environments")),
+    Entry(
+        "6.1",
+        "best_returns",
+        "Approximately optimal returns: the highest of one episode",
+        ("chapter-6", "published-per-environment"),
+    ),
+    Entry("A.1", "tuned_settings", "Settings tuned across environments", ("chapter-6",), Options(by="across-environments")),
     _tuned("A.2", "GreedyAC"),
     _tuned("A.3", "VanillaAC"),
     _tuned("A.4", "SAC"),

@@ -6,7 +6,7 @@ import pandas as pd
 
 from analysis.claims.claims import thesis_claims
 from analysis.claims.judging import Judged, describe, judge
-from analysis.claims.runs import WINDOW_MEANS, Runs
+from analysis.claims.runs import Runs, window_means
 from analysis.figures.options import NoDataError, Options
 from analysis.tables.table import Table
 
@@ -44,7 +44,10 @@ def build(connection: duckdb.DuckDBPyConnection, study: str, options: Options) -
     notes.append(
         f"study {study}: {len(judged)} statements: {summary}; returns that differ by less than {every.margin:g} are similar"
     )
-    return Table(pd.DataFrame(rows), notes, WINDOW_MEANS)
+    tests = [test for claim in claims for test in claim.tests]
+    hypers = {name for test in tests for side in (test.first, test.second) if side for name in side.where}
+    windows = {window for test in tests for window in (test.window, test.earlier) if window}
+    return Table(pd.DataFrame(rows), notes, window_means(study, windows, hypers))
 
 
 def _rows(one: Judged) -> list[dict[str, object]]:

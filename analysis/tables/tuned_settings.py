@@ -124,7 +124,7 @@ def _per_environment(connection: duckdb.DuckDBPyConnection, study: str, options:
     if data.empty:
         raise NoDataError(_nothing(study))
     notes = [_about(study, REGIMES[0], data)]
-    if data["num_evaluation_seeds"].isna().all():
+    if data["num_evaluation_seeds"].isna().all() and (data["num_settings"] > 1).any():
         notes.append("no evaluation runs: the means are of the runs that the settings were chosen by, and too high")
     for row in data.to_dict("records"):
         notes += _row_notes(f"{row['agent']} on {row['environment']}" + _chosen_for(row), row)
@@ -164,7 +164,7 @@ def _across(connection: duckdb.DuckDBPyConnection, study: str, options: Options,
         for place in zip(row["environments"], row["settings"], strict=True)
     ]
     notes += _divergence(connection, study, chosen)
-    if not any(found["num_evaluation_seeds"]):
+    if not any(found["num_evaluation_seeds"]) and (data["num_settings"] > 1).any():
         notes.insert(1, "no evaluation runs: the scores are of the runs that the settings were chosen by, and too high")
     scored = pd.DataFrame(found, dtype="Float64")
     order = list(data.columns)

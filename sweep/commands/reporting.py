@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sweep.messages import UserError, counted
-from sweep.options import DEFAULT_STORE, JsonOption, StoreOption
+from sweep.options import DEFAULT_STORE, JsonOption, ReadStoreOption
 
 if TYPE_CHECKING:
     from sweep.store import Store
@@ -25,7 +25,7 @@ class ExportFormat(StrEnum):
 
 def report(
     study: Annotated[str | None, typer.Argument(metavar="STUDY", help="A study of the store; default: the only one.")] = None,
-    store: StoreOption = DEFAULT_STORE,
+    store: ReadStoreOption = DEFAULT_STORE,
     out: Annotated[
         Path | None, typer.Option(help="The page to write, or with --json the file for that. Default: report.html.")
     ] = None,
@@ -66,7 +66,7 @@ def report(
 def export(
     study: Annotated[str | None, typer.Argument(metavar="STUDY", help="A study of the store; default: all of them.")] = None,
     out: Annotated[Path, typer.Option(help="Folder for the files, outside the store.")] = Path("export"),
-    store: StoreOption = DEFAULT_STORE,
+    store: ReadStoreOption = DEFAULT_STORE,
     format: Annotated[ExportFormat, typer.Option(help="How to write the rows.")] = ExportFormat.parquet,
     steps: Annotated[bool, typer.Option("--steps", help="Also a row for every environment step: a great many.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace files of the same names in the folder.")] = False,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sweep.messages import UserError
-from sweep.options import DEFAULT_STORE, Format, StoreOption
+from sweep.options import DEFAULT_STORE, Format, ReadStoreOption
 
 if TYPE_CHECKING:
     from analysis.analyze import Result
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 def sql(
     query: Annotated[str | None, typer.Argument(metavar="QUERY", help="A SELECT; default: read it from standard input.")] = None,
-    store: StoreOption = DEFAULT_STORE,
+    store: ReadStoreOption = DEFAULT_STORE,
     format: Annotated[Format, typer.Option(help="How to write the answer.")] = Format.table,
 ) -> None:
     """Query a store's tables and views, read-only."""
@@ -55,7 +55,7 @@ def analyze(
     all_: Annotated[bool, typer.Option("--all", help="Every figure and table that there is data for.")] = False,
     list_: Annotated[bool, typer.Option("--list", help="List the figures and tables.")] = False,
     study: Annotated[str | None, typer.Option(help="The study; default: the only one with the data.")] = None,
-    store: StoreOption = DEFAULT_STORE,
+    store: ReadStoreOption = DEFAULT_STORE,
     out: Annotated[Path, typer.Option(help="Folder for the files.")] = Path("."),
     format: Annotated[
         str | None,

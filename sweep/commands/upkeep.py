@@ -8,13 +8,13 @@ from typing import Annotated
 
 import typer
 
-from sweep.options import DEFAULT_STORE, JsonOption, StoreOption
+from sweep.options import DEFAULT_STORE, JsonOption, ReadStoreOption, StoreOption
 
 _DAMAGED = 2
 
 
 def verify(
-    store: StoreOption = DEFAULT_STORE,
+    store: ReadStoreOption = DEFAULT_STORE,
     quick: Annotated[bool, typer.Option("--quick", help="Leave out that `steps` is the episodes spelled out.")] = False,
     as_json: JsonOption = False,
 ) -> None:

@@ -5,12 +5,12 @@ from typing import Annotated, Any
 
 import typer
 
-from sweep.options import DEFAULT_STORE, JsonOption, StoreOption
+from sweep.options import DEFAULT_STORE, JsonOption, ReadStoreOption
 
 StudyArgument = Annotated[str | None, typer.Argument(metavar="STUDY", help="A study of the store; default: all of them.")]
 
 
-def status(study: StudyArgument = None, store: StoreOption = DEFAULT_STORE, as_json: JsonOption = False) -> None:
+def status(study: StudyArgument = None, store: ReadStoreOption = DEFAULT_STORE, as_json: JsonOption = False) -> None:
     """Say how far studies are: planned, finished, running, failed trials, and the time left of launches under way."""
     from rich.console import Console
 
@@ -29,7 +29,7 @@ def status(study: StudyArgument = None, store: StoreOption = DEFAULT_STORE, as_j
 
 def failures(
     study: StudyArgument = None,
-    store: StoreOption = DEFAULT_STORE,
+    store: ReadStoreOption = DEFAULT_STORE,
     tracebacks: Annotated[bool, typer.Option("--tracebacks", help="Print each different traceback as well.")] = False,
     as_json: JsonOption = False,
 ) -> None:

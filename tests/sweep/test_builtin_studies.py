@@ -58,7 +58,12 @@ def ids(name):
 def test_the_built_in_studies_are_these():
     thesis = ["chapter-3", "chapter-6", "figure-7.1", "figure-7.2"]
     entropy = ["entropy-gradient-sampled", "entropy-gradient-score"]
-    published = ["published-across-environments", "published-per-environment", "published-sample-size"]
+    published = [
+        "published-across-environments",
+        "published-entropy-gradient",
+        "published-per-environment",
+        "published-sample-size",
+    ]
     names = [*thesis[:2], *entropy, *thesis[2:], *published, *(f"small/{name}" for name in thesis)]
     assert list(builtin_grids()) == ["quickstart", *(f"thesis/{name}" for name in names)]
 
@@ -243,3 +248,10 @@ def test_the_entropy_gradient_studies_differ_in_the_gradient_alone():
         greedy = [t for t in trials if t.agent == "GreedyAC"]
         assert {t.applicable_hypers["entropy_gradient"] for t in greedy} == {name}
         assert (len(greedy), len({t.setting for t in greedy}), len(trials)) == (300, 150, 600)
+
+
+def test_the_published_settings_are_tried_with_each_entropy_gradient():
+    trials = expand(load("thesis/published-entropy-gradient"))
+    gradients = Counter((t.agent, t.applicable_hypers["entropy_gradient"]) for t in trials)
+    assert gradients == {(agent, name): 30 for agent in ("GreedyAC", "VanillaAC") for name in ("sampled", "analytic", "score")}
+    assert len({t.id for t in trials} & ids("thesis/published-per-environment")) == 60

@@ -62,6 +62,7 @@ def test_runs_are_those_of_the_evaluation_stage_and_of_the_hyperparameters_asked
     runs = Runs(connect(store.write_studies()))
     assert runs.means(Side("GreedyAC", "s", "Pendulum-CA"), (0, 1)).tolist() == [2, 3]
     assert runs.means(Side("GreedyAC", "s", "Pendulum-CA", {"num_action_samples": 30}), (0, 1)).tolist() == [3]
+    assert runs.means(Side("GreedyAC", "s", "Pendulum-CA", {"entropy_gradient": "sampled"}), (0, 1)).tolist() == [2, 3]
 
 
 @pytest.mark.parametrize(

@@ -35,6 +35,12 @@ def test_each_test_has_a_row_and_each_statement_a_verdict(store):
     assert table.notes[-1].startswith(f"study {STUDY}: {len(about)} statements: ")
 
 
+def test_its_query_has_the_mean_return_of_each_run_in_each_window(store):
+    rows = store.execute(claims.build(store, STUDY, Options()).sql).df()
+    assert len(rows) == 3 * 8 * 5  # all steps, the first quarter, the first half, 40% to 50%, the last tenth
+    assert set(rows[rows["agent"] == "SAC"]["mean_return"]) == {900.0 + seed for seed in range(8)}
+
+
 def test_the_correction_is_for_the_statements_that_are_tested(store):
     data = claims.build(store, STUDY, Options()).data
     tested = data.drop_duplicates("claim")
