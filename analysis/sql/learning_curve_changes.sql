@@ -12,13 +12,14 @@ WITH runs AS MATERIALIZED (
         environment,
         for_each,
         trial,
+        status,
         DENSE_RANK() OVER (ORDER BY study, "by", agent, environment, for_each) AS curve,
         ROW_NUMBER() OVER () AS run
     FROM chosen_runs
     WHERE status IN ('finished', 'diverged')
 ),
 names AS (
-    SELECT curve, ANY_VALUE(COLUMNS(* EXCLUDE (curve, run, trial)))
+    SELECT curve, ANY_VALUE(COLUMNS(* EXCLUDE (curve, run, trial, status)))
     FROM runs
     GROUP BY curve
 ),
@@ -35,7 +36,8 @@ counted AS (
         chosen_episodes.first_step + chosen_episodes.length AS after,
         chosen_episodes.is_cut,
         CASE
-            WHEN NOT ISFINITE(chosen_episodes.episodic_return) THEN worst_returns.worst_return
+            WHEN NOT ISFINITE(chosen_episodes.episodic_return) AND (runs.status = 'diverged' OR NOT chosen_episodes.is_cut)
+                THEN worst_returns.worst_return
             WHEN NOT chosen_episodes.is_cut THEN chosen_episodes.episodic_return
         END AS reading
     FROM chosen_episodes

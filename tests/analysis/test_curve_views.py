@@ -99,6 +99,20 @@ def test_a_run_that_completed_no_episode_has_no_reading(tmp_path):
     assert [(row["mean"], row["num_seeds"]) for row in found] == [(-7.0, 1), (-9.0, 1)]
 
 
+def test_a_last_episode_of_unknown_return_repeats_the_one_before_unless_the_run_diverged(tmp_path):
+    """A function reports no return for the steps that its budget cut off: they are NaN, and the run is finished."""
+    store, nan = SyntheticStore(tmp_path), math.nan
+    endings, lengths = ["terminated", "terminated", "budget"], [300, 300, 400]
+    finished, diverged = (store.plan("curves", *PLACE, seed, **SETTING) for seed in (0, 1))
+    known = {"status": "finished", "episode_mean": -6.0}
+    store.finish_together(
+        [(finished, [-5.0, -7.0, nan], endings, lengths, (), known), (diverged, [-9.0, -9.0, nan], endings, lengths)]
+    )
+    found = query(store.write_studies(), f"FROM learning_curve_changes {SHOWN}")
+    assert [(row["step"], row["mean"]) for row in found] == [(1, -7.0), (301, -8.0)]
+    # from step 601 on: -7 repeated, and -9, the worst return
+
+
 def test_runs_that_all_diverged_have_a_curve_only_where_there_is_a_worst_return(tmp_path):
     nan = math.nan
     path = write_runs(tmp_path / "none", [([nan], (), [STEPS]), ([nan, nan], (), [500, 500])])
