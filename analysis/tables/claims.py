@@ -56,16 +56,21 @@ def _rows(one: Judged) -> list[dict[str, object]]:
             "claim": one.claim.name,
             "verdict": one.verdict,
             "d": describe(evidence.test),
-            "value": float(np.round(evidence.estimate.value, 4)),
-            "low": float(np.round(evidence.estimate.low, 4)),
-            "high": float(np.round(evidence.estimate.high, 4)),
+            "value": _rounded(evidence.estimate.value),
+            "low": _rounded(evidence.estimate.low),
+            "high": _rounded(evidence.estimate.high),
             "claimed": _claimed(*evidence.claimed),
             "num_runs": evidence.estimate.num_runs,
-            "p_value": evidence.p_value,
-            "p_holm": one.p_holm,
+            "p_value": _rounded(evidence.p_value),
+            "p_holm": _rounded(one.p_holm),
         }
         for evidence in one.evidence
     ]
+
+
+def _rounded(number: float) -> float:
+    """Return a number to four digits: more would be noise to a reader."""
+    return float(f"{number:.4g}")
 
 
 def _claimed(low: float, high: float) -> str:

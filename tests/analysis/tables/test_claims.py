@@ -45,7 +45,7 @@ def test_the_correction_is_for_the_statements_that_are_tested(store):
     data = claims.build(store, STUDY, Options()).data
     tested = data.drop_duplicates("claim")
     most = tested.loc[tested["p_holm"].idxmin()]
-    assert most["p_holm"] == pytest.approx(data[data["claim"] == most["claim"]]["p_value"].max() * len(tested))
+    assert most["p_holm"] == pytest.approx(data[data["claim"] == most["claim"]]["p_value"].max() * len(tested), rel=1e-3)
 
 
 def test_studies_are_those_that_claims_are_about(store):
