@@ -63,7 +63,8 @@ def draw(connection: duckdb.DuckDBPyConnection, study: str, options: Options) ->
     labels = {name: "Episode" if lengths[name] else "Environment steps" for name in chosen.environments}
     with style.styled():
         figure = draw_panels(curves, chosen.environments, labels, values=chosen.values)
-        style.headline(figure, options.title, _subtitle(chosen, curves, kind))
+        tuned = f"; {chosen.tuned()}" if options.title.endswith(chosen.tuned()) else ""
+        style.headline(figure, options.title, _subtitle(chosen, curves, kind).removesuffix(tuned))
     data = curve_data.tidy(curves)
     data.insert(0, "by", chosen.by)
     return Drawing(figure, data, _notes(chosen, curves, kind), sql)
