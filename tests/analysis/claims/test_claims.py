@@ -1,5 +1,8 @@
 """The claims of the thesis are about studies that are built in, and a file of claims is understood or refused."""
 
+import sys
+from pathlib import Path
+
 import pytest
 
 from analysis.claims.claims import Side, parse_claims, thesis_claims
@@ -24,9 +27,13 @@ def parsed(test):
 def settings():
     """Study → its (agent, environment) → the hyperparameters of its settings."""
     found = {}
-    for study in STUDIES:
+    docs = Path(__file__).parents[3] / "docs"
+    sys.path.insert(0, str(docs))
+    grids = {study: load(str(docs / f"{study}.toml") if study == "fixed-start" else f"thesis/{study}") for study in STUDIES}
+    sys.path.remove(str(docs))
+    for study, grid in grids.items():
         of_study = found.setdefault(study, {})
-        for trial in expand(load(f"thesis/{study}")):
+        for trial in expand(grid):
             of_study.setdefault((trial.agent, trial.environment), {})[trial.setting] = trial.applicable_hypers
     return found
 
