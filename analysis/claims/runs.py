@@ -14,8 +14,8 @@ from analysis.figures.query_text import quoted
 Window = tuple[float, float]
 _WINDOW_MEANS = """
 -- One row per run and window, a part of its steps from `low` to `high`: the mean return there, each step with the return of its
--- episode. Completed episodes count; a diverged run has the worst return of the environment. Runs are those of the evaluation
--- stage where the study has one.
+-- episode. Completed episodes count, and a run without any there has no row; a diverged run has the worst return of the
+-- environment, in every window. Runs are those of the evaluation stage where the study has one.
 WITH known AS (
     SELECT trial, environment, BOOL_OR(stage = 'evaluate') OVER () = (stage = 'evaluate') AS is_meant
     FROM study_trials
@@ -45,15 +45,18 @@ SELECT
     runs.agent,
     runs.environment,
     runs.seed,{hypers}
-    parts.low,
-    parts.high,
+    windows.low,
+    windows.high,
     CASE runs.status
         WHEN 'diverged' THEN ANY_VALUE(runs.worst_return)
         ELSE SUM(parts.episodic_return * parts.steps) / SUM(parts.steps)
     END AS mean_return
 FROM runs
-INNER JOIN parts ON parts.trial = runs.trial AND parts.steps > 0
-GROUP BY runs.trial, runs.agent, runs.environment, runs.seed, runs.status,{hypers} parts.low, parts.high
+CROSS JOIN (VALUES {windows}) AS windows (low, high)
+LEFT JOIN parts ON parts.trial = runs.trial AND parts.low = windows.low AND parts.high = windows.high AND parts.steps > 0
+WHERE runs.status IN ('finished', 'diverged')
+GROUP BY runs.trial, runs.agent, runs.environment, runs.seed, runs.status,{hypers} windows.low, windows.high
+HAVING ISFINITE(mean_return)
 ORDER BY ALL
 """
 
@@ -74,8 +77,8 @@ class Runs:
         self._connection = connection
         self._means: dict[str, pd.DataFrame] = {}
 
-    def means(self, side: Side, window: Window) -> np.ndarray:
-        """Return the mean returns [n] of the runs of a side in a part of the steps, by seed. NoDataError where there is none."""
+    def means(self, side: Side, window: Window) -> "pd.Series[float]":
+        """Return seed → mean return in a part of the steps, of the runs of a side. NoDataError where there is none."""
         sql = window_means(side.study, [window], side.where)
         if sql not in self._means:
             self._means[sql] = self._connection.execute(sql).df()
@@ -83,16 +86,22 @@ class Runs:
         meant = (rows["agent"] == side.agent) & (rows["environment"] == side.environment)
         for name, value in side.where.items():
             meant &= rows[name] == value
-        means = rows[meant].sort_values("seed")["mean_return"].dropna().to_numpy(np.float64)
-        if not len(means):
+        if not meant.any():
             raise NoDataError(f'study "{side.study}" has no run of {side.text()} on {side.environment} yet')
-        return means
+        return rows[meant].set_index("seed")["mean_return"].sort_index()
 
     def region(self, side: Side, at: tuple[float, ...]) -> np.ndarray:
-        """Return scores [X, L, K, S] of critic step-sizes (those of `at`), entropy scales, remaining settings and seeds."""
+        """Return scores [X, L, K, S] of critic step-sizes (those of `at`), entropy scales, remaining settings and seeds.
+
+        Raises NoDataError as long as a run that the study plans there has no score.
+        """
         assert side.environment is not None
         options = Options(agents=(side.agent,), environments=(side.environment,))
         data = sensitivity_data.load(self._connection, side.study, options)
+        lacking = int(data.runs["score"].isna().sum())
+        if lacking or data.runs.empty:
+            what = f"{lacking:,} of {len(data.runs):,} runs" if len(data.runs) else "all runs"
+            raise NoDataError(f'study "{side.study}" lacks {what} of {side.text()} on {side.environment}')
         panel = data.arranged(side.agent, side.environment)
         kept = [not at or value in at for value in panel.x_values]
         if sum(kept) < (len(at) or 1):

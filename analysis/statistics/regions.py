@@ -123,15 +123,15 @@ def region(
     Raises UserError where a setting has scores on some seeds only, or a line has no point at an x-value; TooFewRunsError
     below two seeds.
     """
-    scores, exists = _checked(scores)
+    scores, exists = check_region(scores)
     X, S = scores.shape[0], scores.shape[-1]
     generator = np.random.default_rng(seed)
     counts = seed_counts(S, resamples, generator)
-    lines = _lines(scores.mean(axis=-1), exists)
+    lines = best_lines(scores.mean(axis=-1), exists)
     width = np.ptp(lines, axis=-1)
-    drawn = _lines(np.moveaxis(scores @ counts.T / S, -1, 0), exists)
+    drawn = best_lines(np.moveaxis(scores @ counts.T / S, -1, 0), exists)
     drawn_widths = np.ptp(drawn, axis=-1)
-    floor, gaussian, noise = _noise_floor(scores, exists, resamples, generator)
+    floor, gaussian, noise = expected_noise(scores, exists, resamples, generator)
     choosing, scoring = half_splits(S, splits, generator)
     split_lines = _split_lines(scores, exists, choosing, scoring)
     wide = int((_permuted_widths(scores, exists, permutations, generator) >= width.mean() * (1 - 1e-12)).sum())
@@ -175,8 +175,8 @@ def region(
     )
 
 
-def _checked(scores: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the scores, 0 where there is no setting, and which settings exist [X, L, K]."""
+def check_region(scores: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the scores, 0 where there is no setting, and which settings exist [X, L, K]. Raises as `region` does."""
     scores = np.asarray(scores, np.float64)
     if scores.ndim != 4 or scores.shape[1] < 2 or 0 in scores.shape:
         raise UserError(f"a region needs scores [X, L, K, S] of at least two lines, and there are {list(scores.shape)}")
@@ -197,12 +197,12 @@ def _checked(scores: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.where(finite, scores, 0.0), exists
 
 
-def _lines(means: np.ndarray, exists: np.ndarray) -> np.ndarray:
+def best_lines(means: np.ndarray, exists: np.ndarray) -> np.ndarray:
     """Return the highest of means [..., X, L, K] over the settings that exist: [..., X, L]."""
     return np.where(exists, means, -np.inf).max(axis=-1)
 
 
-def _noise_floor(
+def expected_noise(
     scores: np.ndarray, exists: np.ndarray, resamples: int, generator: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Return the expected width without an effect [X], the same for one remaining setting [X], and σ.
@@ -222,7 +222,7 @@ def _noise_floor(
     sigma = np.where(degrees > 0, np.sqrt(squares / np.maximum(degrees, 1)), at_x[:, None])
     pooled = scores.mean(axis=-1).sum(axis=1) / np.maximum(exists.sum(axis=1), 1)
     draws = generator.standard_normal((resamples, *exists.shape)) * (sigma / np.sqrt(S))[:, None, :]
-    widths = np.ptp(_lines(pooled[:, None, :] + draws, exists), axis=-1)
+    widths = np.ptp(best_lines(pooled[:, None, :] + draws, exists), axis=-1)
     noise = float(np.sqrt(squares.sum() / max(int(degrees.sum()), 1)))
     return widths.mean(axis=0), 2 * expected_maximum(L) * at_x / np.sqrt(S), noise
 
