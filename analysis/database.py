@@ -175,7 +175,8 @@ def _lacks_worst_episodes(trials: pq.FileMetaData) -> bool:
     if "worst_episode" not in trials.schema.names:
         return True
     column = trials.schema.names.index("worst_episode")
-    return any(trials.row_group(group).column(column).statistics.null_count for group in range(trials.num_row_groups))
+    known = (trials.row_group(group).column(column).statistics for group in range(trials.num_row_groups))
+    return any(statistics is None or statistics.null_count for statistics in known)
 
 
 def _with_columns_of(columns: pa.Schema, footers: Mapping[Path, pq.FileMetaData]) -> pa.Schema:

@@ -16,6 +16,7 @@ import duckdb
 import pandas as pd
 
 from analysis.analyze import Entry, everything, needs_store
+from analysis.claims.claims import thesis_studies
 from analysis.figures.catalogue import Entry as FigureEntry
 from analysis.figures.drawing import Drawing
 from analysis.figures.options import REGIMES, NoDataError
@@ -151,6 +152,8 @@ def _numbered(shown: Sequence[Exhibit], kind: str, environments: Sequence[str]) 
 def _wanted(study: str, rules: Sequence[str]) -> Iterator[tuple[Entry, str]]:
     """Yield figures and tables, with the rule to ask for, "" where the entry leaves no choice."""
     for entry in everything():
+        if entry.kind == "claims" and study not in thesis_studies():
+            continue
         if not needs_store(entry) or (entry.studies and study.removeprefix("small-") not in entry.studies):
             continue
         # tables put several rules side by side, unless their entry asks for one

@@ -3,9 +3,8 @@
     python docs/reproduce.py            # write the outputs into the pages, and the pictures beside them
     python docs/reproduce.py --check    # exit code 1 if a command prints anything else than a page says
 
-A block ```console``` has one command after `$ `, over several lines where they are indented, and then its output. Pictures go
-where `--out` says, seen from this folder. With --check they are drawn into a temporary one, and each picture of the page must be
-there.
+A block ```console``` has one command after `$ `, over several lines as long as a quote is open, and then its output. Pictures are
+drawn into a temporary folder, where `--out` says; those of the page must be among them.
 """
 
 import argparse
@@ -13,6 +12,7 @@ import contextlib
 import difflib
 import re
 import shlex
+import shutil
 import sys
 import tempfile
 from pathlib import Path
@@ -23,7 +23,7 @@ from sweep.cli import app
 
 DOCS = Path(__file__).resolve().parent
 PAGES = (DOCS / "reproduction.md", DOCS.parent / "README.md")
-_BLOCK = re.compile(r"```console\n\$ ([^\n]*\n(?:    [^\n]*\n)*)(.*?)```", re.DOTALL)
+_BLOCK = re.compile(r"```console\n\$ (.*?)```", re.DOTALL)
 
 
 def printed(command: str) -> str:
@@ -37,14 +37,30 @@ def printed(command: str) -> str:
     return "\n".join(line.rstrip() for line in ran.stdout.splitlines()) + "\n"
 
 
+def commands(page: str) -> list[str]:
+    """Return the commands of a page, without their outputs."""
+    return [_command(block[1]) for block in _BLOCK.finditer(page)]
+
+
+def _command(block: str) -> str:
+    """Return the command that a block begins with: lines until all quotes are closed."""
+    lines = block.splitlines(keepends=True)
+    for count in range(1, len(lines) + 1):
+        with contextlib.suppress(ValueError):
+            shlex.split("".join(lines[:count]))
+            return "".join(lines[:count])
+    raise SystemExit(f"a quote is never closed: {lines[0]}")
+
+
 def reproduced(page: str) -> str:
     """Return the page with the outputs of its commands as they are now; what they draw is written below the working directory."""
 
     def again(block: re.Match[str]) -> str:
-        print(f"$ {block[1].rstrip()}", flush=True)
-        output = printed(block[1])
+        command = _command(block[1])
+        print(f"$ {command.rstrip()}", flush=True)
+        output = printed(command)
         print(output, flush=True)
-        return f"```console\n$ {block[1]}{output}```"
+        return f"```console\n$ {command}{output}```"
 
     return _BLOCK.sub(again, page)
 
@@ -61,20 +77,20 @@ def main() -> None:
     changed = False
     for page in PAGES:
         said = page.read_text(encoding="utf-8")
-        with tempfile.TemporaryDirectory() as temporary:
-            folder = Path(temporary) if arguments.check else DOCS
+        with tempfile.TemporaryDirectory() as folder:
             with contextlib.chdir(folder):
                 found = reproduced(said)
-            missing = [picture for picture in pictures(said) if not (folder / picture).is_file()]
-        if missing:
-            raise SystemExit(f"{page.name}: no command draws {', '.join(missing)}")
+            missing = [picture for picture in pictures(said) if not Path(folder, picture).is_file()]
+            if missing:
+                raise SystemExit(f"{page.name}: no command draws {', '.join(missing)}")
+            for picture in [] if arguments.check else pictures(said):
+                (DOCS / picture).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(Path(folder, picture), DOCS / picture)
         if not arguments.check:
             page.write_text(found, encoding="utf-8")
         elif found != said:
             changed = True
             sys.stdout.writelines(difflib.unified_diff(said.splitlines(True), found.splitlines(True), page.name, "now"))
-    for file in (DOCS / "images" / "reproduction").rglob("*.csv"):  # tables: the page has them
-        file.unlink()
     if changed:
         raise SystemExit(1)
 

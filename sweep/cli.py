@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
+from sweep import without_pandas
 from sweep.commands import init, launch, plan, reporting, results, retry, upkeep, watch
 from sweep.messages import UserError
 
@@ -88,6 +89,8 @@ def _exit_for(error: OSError) -> None:
 def main() -> None:
     """Run the command line: a mistake of the user's becomes a message and exit code 1."""
     try:
+        if sys.argv[1:2] == ["sql"] and "--help" not in sys.argv:
+            without_pandas.import_query()
         code = app(standalone_mode=False)
         if code == _INTERRUPTED:
             raise KeyboardInterrupt

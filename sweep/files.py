@@ -100,3 +100,12 @@ def flush_folder(folder: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def folders_in(folder: Path) -> list[tuple[str, int]]:
+    """Return the folders in one as (name, inode), by name; none when there is no such folder."""
+    try:
+        with os.scandir(folder) as entries:
+            return sorted((entry.name, entry.inode()) for entry in entries if entry.name[0] != "." and entry.is_dir())
+    except FileNotFoundError:
+        return []

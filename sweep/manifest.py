@@ -17,7 +17,7 @@ from typing import Any
 
 import pyarrow.parquet as pq
 
-from sweep.files import flushed
+from sweep.files import flushed, folders_in
 from sweep.messages import UserError
 
 NAME = "manifest.json"
@@ -168,3 +168,17 @@ def check_sizes(folder: Path) -> Manifest | None:
         if found != entry.bytes:
             raise DamagedError(folder / name, f"{found:,} bytes, {entry.bytes:,} were written")
     return manifest
+
+
+def listed(shards: Path, lenient: bool) -> tuple[list[tuple[str, int]], dict[str, set[str]]]:
+    """Return the folders in `shards`, and compacted one → names it replaces. Raises DamagedError, FileNotFoundError."""
+    found = folders_in(shards)
+    replaces: dict[str, set[str]] = {}
+    for name, _ in found:
+        if name.startswith(COMPACTED):
+            try:
+                replaces[name] = set(read_written(shards / name).replaces)
+            except DamagedError:
+                if not lenient:
+                    raise
+    return found, replaces

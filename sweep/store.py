@@ -23,6 +23,7 @@ import socket
 import time
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,7 +31,7 @@ import pyarrow as pa
 
 from sweep import failures, manifest, shard_files, study_files
 from sweep.failures import Failure
-from sweep.files import UnwritableError, flush_folder, flushed, write_atomically
+from sweep.files import UnwritableError, flush_folder, flushed, folders_in, write_atomically
 from sweep.messages import UserError, suggestion
 from sweep.tables import ShardTables, identity_columns
 
@@ -40,6 +41,8 @@ if TYPE_CHECKING:
 _MARKER = "sweep-store.json"
 _FORMAT = 1
 STALE_SECONDS = 24 * 3600
+_Write = Callable[[Path], None]
+_Read = Callable[[], ShardTables]
 
 
 class Store:
@@ -102,7 +105,7 @@ class Store:
     def replacements(self) -> dict[Path, list[Path]]:
         """Return compacted shard → the folders that it replaces and that are there still, by name; none of those without any."""
         shards = self.path / "shards"
-        found, replaces = _listed(shards, lenient=True)
+        found, replaces = manifest.listed(shards, lenient=True)
         there = {name: [shards / known for known, _ in found if known in replaces[name]] for name in sorted(replaces)}
         return {shards / name: folders for name, folders in there.items() if folders}
 
@@ -111,7 +114,7 @@ class Store:
         known = None
         while True:
             with contextlib.suppress(FileNotFoundError):  # a compacted shard that is compacted again just now
-                found, replaces = _listed(self.path / "shards", lenient)
+                found, replaces = manifest.listed(self.path / "shards", lenient)
                 if found == known:
                     replaced = set().union(*replaces.values())
                     return [key for key in found if key[0] not in replaced]
@@ -151,28 +154,18 @@ class Store:
 
         Raises UnwritableError, a UserError and an OSError, when the store cannot be written to; nothing is visible then, or all.
         """
-        return self._commit(shard, tables.trials["trial"].to_pylist(), lambda to: shard_files.write(to, tables), lambda: tables)
+        names = tables.trials["trial"].to_pylist()
+        return self._commit(shard, names, lambda to: shard_files.write(to, tables), lambda: tables)
 
     def commit_copy(self, shard: str, source: Path, with_steps: bool = True) -> int:
         """Commit a copy of the folder of another store's shard; of trials that are here, the rows are left out.
 
         Returns how many trials were new. Raises as `commit` does, and DamagedError for a file that is not what was written there.
         """
-        trials = shard_files.trials_in(source)
+        trials, copy = shard_files.trials_in(source), partial(shard_files.copy, source, with_steps=with_steps)
+        return self._commit(shard, trials, copy, partial(shard_files.read, source), with_steps)
 
-        def copy(to: Path) -> None:
-            shard_files.copy(source, to, with_steps)
-
-        return self._commit(shard, trials, copy, lambda: shard_files.read(source), with_steps)
-
-    def _commit(
-        self,
-        shard: str,
-        trials: Iterable[str],
-        write: Callable[[Path], None],
-        read: Callable[[], ShardTables],
-        with_steps: bool = True,
-    ) -> int:
+    def _commit(self, shard: str, trials: Iterable[str], write: _Write, read: _Read, with_steps: bool = True) -> int:
         new = set(trials)
         with self.staged(shard) as staging:
             write(staging)
@@ -189,7 +182,7 @@ class Store:
 
     def free_name(self, shard: str) -> str:
         """Return the name, or where it is taken one that begins with it: the rest of a shard may come after the first part."""
-        found, replaces = _listed(self.path / "shards", lenient=True)
+        found, replaces = manifest.listed(self.path / "shards", lenient=True)
         is_taken = shard in {name for name, _ in found}.union(*replaces.values())
         return f"{shard}-{uuid.uuid4().hex[:8]}" if is_taken else shard
 
@@ -261,7 +254,7 @@ class Store:
 
     def studies(self) -> list[str]:
         """Return the names of the studies that were written to the store."""
-        return [name for name, _ in _folders_in(self.path / "studies")]
+        return [name for name, _ in folders_in(self.path / "studies")]
 
     def study_source(self, name: str) -> tuple[str, tuple[str, ...]]:
         """Return a study's grid, as its file's text, and what `--set` changed of it. Raises UserError for an unknown study."""
@@ -337,26 +330,3 @@ def is_stale(file: Path, seconds: float = STALE_SECONDS) -> bool:
 def _is_beginning(file: Path) -> bool:
     """A marker half written: another launch makes this store just now, or was killed while it did."""
     return file.name.startswith(f".{_MARKER}-")
-
-
-def _folders_in(folder: Path) -> list[tuple[str, int]]:
-    """Return the folders in one as (name, inode), by name; none when there is no such folder."""
-    try:
-        with os.scandir(folder) as entries:
-            return sorted((entry.name, entry.inode()) for entry in entries if entry.name[0] != "." and entry.is_dir())
-    except FileNotFoundError:
-        return []
-
-
-def _listed(shards: Path, lenient: bool) -> tuple[list[tuple[str, int]], dict[str, set[str]]]:
-    """Return the folders in `shards`, and compacted one → names it replaces. Raises DamagedError, FileNotFoundError."""
-    found = _folders_in(shards)
-    replaces: dict[str, set[str]] = {}
-    for name, _ in found:
-        if name.startswith(manifest.COMPACTED):
-            try:
-                replaces[name] = set(manifest.read_written(shards / name).replaces)
-            except manifest.DamagedError:
-                if not lenient:
-                    raise
-    return found, replaces

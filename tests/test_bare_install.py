@@ -189,18 +189,29 @@ def test_sql_needs_no_plotting_library(trained):
     assert (ran.returncode, ran.stdout.split()[-1]) == (0, "1")
 
 
-def test_a_query_imports_no_pandas_and_who_asks_for_it_later_has_it(trained):
+def test_the_command_sql_imports_no_pandas(trained):
     folder, _ = trained
     code = """
-import sys
-from sweep.commands.results import sql
-sql("SELECT count(*) AS trials FROM trials")
-assert "pandas" not in sys.modules
-from analysis import connect
-print(connect("results").sql("SELECT 3 AS x").df())
+import atexit, sys
+atexit.register(lambda: print("pandas" in sys.modules))
+from sweep.cli import main
+main()
+"""
+    ran = python(code, "sql", "SELECT count(*) AS trials FROM trials", "--format", "csv", cwd=folder)
+    assert (ran.returncode, ran.stdout.split()) == (0, ["trials", str(TRIALS), "False"]), ran.stderr
+
+
+def test_a_process_that_asks_first_and_analyzes_then_has_pandas(trained):
+    folder, _ = trained
+    code = """
+from typer.testing import CliRunner
+from sweep.cli import app
+assert CliRunner().invoke(app, ["sql", "SELECT 1"]).exit_code == 0
+import pandas as pd, pyarrow as pa
+print(pa.Table.from_pandas(pd.DataFrame({"a": pd.array([1, None], "Int64")})).column("a").null_count)
 """
     ran = python(code, cwd=folder)
-    assert (ran.returncode, ran.stdout.split()[-3:]) == (0, ["x", "0", "3"]), ran.stderr
+    assert (ran.returncode, ran.stdout) == (0, "1\n"), ran.stderr
 
 
 def test_an_environment_that_only_gymnasium_could_know_is_a_mistake_in_the_grid_where_gymnasium_is_missing(tmp_path):

@@ -86,6 +86,11 @@ def thesis_claims() -> Claims:
     return parse_claims(resources.files("analysis.claims").joinpath("thesis.toml").read_text(encoding="utf-8"))
 
 
+def thesis_studies() -> list[str]:
+    """Return the studies that these claims are about, in their order."""
+    return list(dict.fromkeys(claim.study for claim in thesis_claims().claims))
+
+
 def parse_claims(text: str) -> Claims:
     """Return the claims of a file's text. Raises UserError for a test that cannot be understood."""
     content = tomllib.loads(text)

@@ -17,8 +17,8 @@ from sweep.options import (
     GridArgument,
     JsonOption,
     NumCpusOption,
+    ReadStoreOption,
     SetOption,
-    StoreOption,
     Tf32Option,
     ThreadsOption,
     executor_starter,
@@ -27,7 +27,7 @@ from sweep.options import (
 
 def plan(
     grid: GridArgument,
-    store: StoreOption = DEFAULT_STORE,
+    store: ReadStoreOption = DEFAULT_STORE,
     executor: ExecutorOption = ExecutorName.ray,
     address: AddressOption = None,
     num_cpus: NumCpusOption = None,

@@ -1,11 +1,7 @@
 """`sweep sql` and `sweep analyze`: reading what a store holds."""
 
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from importlib.abc import MetaPathFinder
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -23,30 +19,10 @@ def sql(
     format: Annotated[Format, typer.Option(help="How to write the answer.")] = Format.table,
 ) -> None:
     """Query a store's tables and views, read-only."""
-    with _without_pandas():
-        from analysis.query import run
+    from analysis.query import run
     from sweep.store import Store
 
     run(Store.open(store).path, sys.stdin.read() if query is None else query, format.value)
-
-
-@contextmanager
-def _without_pandas() -> Iterator[None]:
-    """Keep pyarrow from importing pandas: 0.3 s, of which a query in SQL has nothing. Who needs pandas later imports it."""
-    finder = _NoPandas()
-    sys.meta_path.insert(0, finder)
-    try:
-        yield
-    finally:
-        sys.meta_path.remove(finder)
-
-
-class _NoPandas(MetaPathFinder):
-    """Say of pandas that it is not installed."""
-
-    def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> None:
-        if name == "pandas":
-            raise ModuleNotFoundError("no pandas here", name=name)
 
 
 def analyze(

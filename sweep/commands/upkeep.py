@@ -72,10 +72,11 @@ def merge(
     from rich.console import Console
 
     from sweep.merging import merge
+    from sweep.sample import find
     from sweep.store import Store
     from sweep.upkeep_report import plain, show_merge
 
-    sources = [Store.open(other) for other in others]
+    sources = [Store.open(find(other)) for other in others]
     with _saying("merging") as say:
         report = merge(Store.create(store), sources, with_steps=not without_steps, say=say)
     if as_json:
