@@ -24,6 +24,8 @@ SECOND: Mapping[str, str] = {
 }
 """Kind → the word of its second side."""
 ALONE = ("above", "below", "falls_from", "dominated")
+WIDTHS = ("narrower", "dominated")
+"""Kinds about the widths of sensitivity regions; the others are about mean returns."""
 KINDS = (*SECOND, *ALONE)
 
 

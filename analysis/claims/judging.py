@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from analysis.claims.claims import WINDOWS, Claim, Claims, Side, Test
+from analysis.claims.claims import WIDTHS, WINDOWS, Claim, Claims, Side, Test
 from analysis.claims.runs import Runs
 from analysis.statistics.contrasts import Contrast, contrast
 from analysis.statistics.corrections import correct
@@ -161,7 +161,7 @@ def describe(test: Test) -> str:
     second = test.second.text(test.first) if test.second else ""
     same = test.second is None or test.second.environment == test.first.environment
     place = f", {test.first.environment}" if test.first.environment and same else ""
-    if test.kind in ("narrower", "dominated"):
+    if test.kind in WIDTHS:
         at = f" at critic step-sizes {', '.join(f'{value:g}' for value in test.at)}" if test.at else ""
         other = second if second else "what the critic step-size does"
         return f"mean width{at}: {first} − {other}{place}"

@@ -9,7 +9,7 @@ import pandas as pd
 from analysis.claims.claims import Side
 from analysis.figures import sensitivity_data
 from analysis.figures.options import NoDataError, Options
-from analysis.figures.query_text import quoted
+from analysis.figures.query_text import listed
 
 Window = tuple[float, float]
 _WINDOW_MEANS = """
@@ -17,19 +17,20 @@ _WINDOW_MEANS = """
 -- episode. Completed episodes count, and a run without any there has no row; a diverged run has the worst return of the
 -- environment, in every window. Runs are those of the evaluation stage where the study has one.
 WITH known AS (
-    SELECT trial, environment, BOOL_OR(stage = 'evaluate') OVER () = (stage = 'evaluate') AS is_meant
+    SELECT study, trial, environment, BOOL_OR(stage = 'evaluate') OVER (PARTITION BY study) = (stage = 'evaluate') AS is_meant
     FROM study_trials
-    WHERE study = {study}
+    WHERE study IN ({studies})
 ),
 runs AS (
-    SELECT trials.*, worst_returns.worst_return
+    SELECT known.study, trials.*, worst_returns.worst_return
     FROM known
     INNER JOIN trials ON trials.trial = known.trial
-    LEFT JOIN worst_returns ON worst_returns.study = {study} AND worst_returns.environment = known.environment
+    LEFT JOIN worst_returns ON worst_returns.study = known.study AND worst_returns.environment = known.environment
     WHERE known.is_meant
 ),
 parts AS (
     SELECT
+        runs.study,
         runs.trial,
         windows.low,
         windows.high,
@@ -42,6 +43,7 @@ parts AS (
     WHERE episodes.ending IN ('terminated', 'truncated')
 )
 SELECT
+    runs.study,
     runs.agent,
     runs.environment,
     runs.seed,{hypers}
@@ -53,18 +55,23 @@ SELECT
     END AS mean_return
 FROM runs
 CROSS JOIN (VALUES {windows}) AS windows (low, high)
-LEFT JOIN parts ON parts.trial = runs.trial AND parts.low = windows.low AND parts.high = windows.high AND parts.steps > 0
+LEFT JOIN parts
+    ON parts.study = runs.study
+    AND parts.trial = runs.trial
+    AND parts.low = windows.low
+    AND parts.high = windows.high
+    AND parts.steps > 0
 WHERE runs.status IN ('finished', 'diverged')
-GROUP BY runs.trial, runs.agent, runs.environment, runs.seed, runs.status,{hypers} windows.low, windows.high
+GROUP BY runs.study, runs.trial, runs.agent, runs.environment, runs.seed, runs.status,{hypers} windows.low, windows.high
 HAVING ISFINITE(mean_return)
 ORDER BY ALL
 """
 
 
-def window_means(study: str, windows: Iterable[Window], hypers: Iterable[str] = ()) -> str:
-    """Return the SQL of the mean return of each run of a study in these parts of its steps, with some of its hyperparameters."""
+def window_means(studies: Iterable[str], windows: Iterable[Window], hypers: Iterable[str] = ()) -> str:
+    """Return the SQL of the mean return of each run of studies in these parts of its steps, with some of its hyperparameters."""
     return _WINDOW_MEANS.format(
-        study=quoted(study),
+        studies=listed(studies),
         windows=", ".join(f"({low}, {high})" for low, high in sorted(set(windows))),
         hypers="".join(f' runs."{name}",' for name in sorted(set(hypers))),
     )
@@ -79,7 +86,7 @@ class Runs:
 
     def means(self, side: Side, window: Window) -> "pd.Series[float]":
         """Return seed → mean return in a part of the steps, of the runs of a side. NoDataError where there is none."""
-        sql = window_means(side.study, [window], side.where)
+        sql = window_means([side.study], [window], side.where)
         if sql not in self._means:
             self._means[sql] = self._connection.execute(sql).df()
         rows = self._means[sql]
