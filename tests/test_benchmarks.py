@@ -6,9 +6,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parent.parent
 
 
+@pytest.mark.slow
 def test_the_speed_benchmark_compares_populations_with_a_plain_agent(tmp_path):
     command = [
         sys.executable,

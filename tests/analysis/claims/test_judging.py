@@ -55,6 +55,13 @@ def test_a_window_weighs_each_episode_by_its_steps_in_it(store):
     assert runs.means(side, (0.85, 1.0)).tolist() == pytest.approx([12, worst])
 
 
+def test_a_run_that_diverged_counts_where_it_completed_nothing_and_one_that_did_not_does_not(store):
+    for seed, last in ((0, math.nan), (1, 9.0)):
+        store.finish(store.plan("s", "SAC", "Pendulum-CA", seed), [5.0, last], ["truncated", "budget"], [300, 700])
+    means = Runs(connect(store.write_studies())).means(Side("SAC", "s", "Pendulum-CA"), (0.9, 1.0))
+    assert means.to_dict() == {0: 5.0}  # the worst return; run 1 has none
+
+
 def test_runs_are_those_of_the_evaluation_stage_and_of_the_hyperparameters_asked_for(store):
     for seed, stage, samples, value in ((0, "tune", 10, 1.0), (1, "evaluate", 10, 2.0), (2, "evaluate", 30, 3.0)):
         trial = store.plan("s", "GreedyAC", "Pendulum-CA", seed, stage, num_action_samples=samples)

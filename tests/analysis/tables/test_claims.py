@@ -1,5 +1,7 @@
 """The table of claims: a row for each test, the statement and its verdict below it, and what no run can say yet."""
 
+import math
+
 import pytest
 from synthetic_store import SyntheticStore
 
@@ -33,6 +35,36 @@ def test_each_test_has_a_row_and_each_statement_a_verdict(store):
     assert lines["6.1.1"] == "6.1.1 confirmed: On Pendulum-CA, SAC learned faster than both GreedyAC and VanillaAC."
     assert lines["6.2.1"].startswith("6.2.1 not tested: GreedyAC learned faster than both baselines on Mountain Car-CA. (study ")
     assert table.notes[-1].startswith(f"study {STUDY}: {len(about)} statements: ")
+
+
+def test_runs_that_are_missing_or_diverged_are_said(tmp_path):
+    store = SyntheticStore(tmp_path)
+    for agent in ("SAC", "GreedyAC"):
+        for seed in range(3):
+            trial = store.plan(STUDY, agent, "Pendulum-CA", seed)
+            if (agent, seed) != ("SAC", 2):
+                store.finish(trial, [5.0, math.nan] if (agent, seed) == ("GreedyAC", 0) else [1.0 + seed, 2.0])
+    notes = claims.build(connect(store.write_studies()), STUDY, Options()).notes
+    where = f"study {STUDY}: {{}} on Pendulum-CA (tune): "
+    assert notes[-2:] == [
+        where.format("GreedyAC") + "1 diverged, counted as the worst return of the environment",
+        where.format("SAC") + "2 of 3 runs: verdicts may change",
+    ]
+
+
+def test_the_query_of_statements_about_widths_is_of_the_scores_behind_them(tmp_path):
+    store, study = SyntheticStore(tmp_path), "entropy-gradient-sampled"
+    for agent in ("SAC", "GreedyAC"):
+        for x in (0.1, 0.01):
+            for scale in (0.1, 1.0):
+                for seed in range(2):
+                    trial = store.plan(study, agent, "Pendulum-CA", seed, critic_step_size=x, entropy_scale=scale)
+                    store.finish(trial, [100 * x + scale + seed])
+    connection = connect(store.write_studies())
+    table = claims.build(connection, study, Options())
+    assert list(table.data["claim"]) == ["7.1.1", "7.1.3"]  # for 7.1.2 the step-size 1e-3 is missing
+    rows = connection.execute(table.sql).df()
+    assert len(rows) == 16 and set(rows["agent"]) == {"GreedyAC", "SAC"}
 
 
 def test_its_query_has_the_mean_return_of_each_run_in_each_window(store):
