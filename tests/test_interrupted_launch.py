@@ -8,21 +8,8 @@ import time
 from pathlib import Path
 
 import pytest
+from tiny_study import GRID
 
-GRID = """
-[study]
-name = "tiny"
-environments = ["Pendulum-CA"]
-steps = 60
-cutoff = 25
-[seeds]
-tune = 2
-[sweep]
-critic_step_size = [0.01, 0.001]
-entropy_scale = [0.1, 1]
-[[agent]]
-name = "SAC"
-"""
 ROOT = Path(__file__).parent.parent
 
 
