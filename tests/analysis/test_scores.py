@@ -216,3 +216,15 @@ def test_a_diverged_run_is_as_if_not_planned_for_a_study_that_drops_it(tmp_path)
     assert (kept.complete, int(kept.dropped.sum())) == (True, 1)
     scale, _, _ = find_normalizer(connection, "demo", "episode_mean", "minmax", [CA])
     assert scale.normalize(CA, [4, 6]) == pytest.approx([0, 1])
+
+
+@pytest.mark.parametrize(("diverged", "complete"), [("drop", [False, False, True, True]), ("worst", [True, True, True, True])])
+def test_a_setting_all_of_whose_runs_are_dropped_is_not_complete(tmp_path, diverged, complete):
+    store = SyntheticStore(tmp_path)
+    for step_size, last in ((0.1, math.nan), (0.2, -2.0)):
+        for seed in range(2):
+            store.finish(store.plan("demo", "SAC", "Pendulum-CA", seed, critic_step_size=step_size), [-1.0, last])
+    path = store.write_studies()
+    (path / "studies" / "demo" / "grid.toml").write_text(f'[select]\ndiverged = "{diverged}"\n')
+    sql = "SELECT is_complete FROM run_scores INNER JOIN trials USING (trial) ORDER BY critic_step_size, trials.seed"
+    assert [row[0] for row in connect(path).execute(sql).fetchall()] == complete

@@ -80,6 +80,8 @@ def test_runs_are_those_of_the_evaluation_stage_and_of_the_hyperparameters_asked
         ('{ higher = "VanillaAC", than = "GreedyAC", environment = "Pendulum-CA" }', "undecided"),
         ('{ similar = "VanillaAC", to = "GreedyAC", environment = "Pendulum-CA" }', "confirmed"),
         ('{ similar = "SAC", to = "GreedyAC", environment = "Pendulum-CA" }', "not confirmed"),
+        ('{ similar = "SAC-original", to = "GreedyAC", environment = "Pendulum-CA" }', "undecided"),
+        ('{ similar = "GreedyAC", to = "SAC-original", environment = "Pendulum-CA" }', "undecided"),
         ('{ at_least = "GreedyAC", as = "VanillaAC", environment = "Pendulum-CA" }', "confirmed"),
         ('{ at_least = "GreedyAC", as = "SAC", environment = "Pendulum-CA" }', "not confirmed"),
         ('{ agent = "SAC", above = 45, environment = "Pendulum-CA" }', "confirmed"),
@@ -91,7 +93,7 @@ def test_runs_are_those_of_the_evaluation_stage_and_of_the_hyperparameters_asked
     ],
 )
 def test_verdicts_on_what_is_known(store, test, verdict):
-    for agent, mean in (("SAC", 50.0), ("GreedyAC", 20.0), ("VanillaAC", 20.5)):
+    for agent, mean in (("SAC", 50.0), ("GreedyAC", 20.0), ("VanillaAC", 20.5), ("SAC-original", 30.0)):
         runs_of(store, "s", agent, "Pendulum-CA", mean)
     for seed, luck in enumerate(LUCK):
         store.finish(store.plan("s", "SAC", "Pendulum-DA", seed), [50 + luck] * 9 + [20 + 2 * luck])
