@@ -49,7 +49,10 @@ from agents.optimizer import PopulationAdam
 def test_plain_values_and_what_holds_them_come_back_of_the_same_type_and_in_order(old, new):
     found = restored(Thing(part=old), Thing(part=new)).part
     assert type(found) is type(old)
-    assert repr(found) == repr(old)
+    if isinstance(old, frozenset):  # texts lie in a set in whatever order the process hashes them
+        assert found == old
+    else:
+        assert repr(found) == repr(old)
 
 
 def test_a_list_and_a_dict_that_others_refer_to_are_filled_where_they_are():
