@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STORE ?= results
 
-.PHONY: help demo test test-slow test-cluster test-mujoco test-gpu check format bench bench-analysis bench-gpu clean
+.PHONY: help demo test test-slow test-cluster test-mujoco test-gpu check format bench bench-analysis bench-launch bench-gpu clean
 
 # The native kernels are compiled by the install.
 SOURCES := pyproject.toml setup.py $(wildcard agents/kernels/src/*)
@@ -48,6 +48,9 @@ bench: $(VENV)/installed-dev  ## agent-steps a second: populations against a pla
 
 bench-analysis: $(VENV)/installed-dev  ## how fast figures, tables and queries of a store of the thesis' size are
 	$(BIN)/python tests/benchmarks/analysis_speed.py --folder build/full-size --json bench-analysis.json
+
+bench-launch: $(VENV)/installed-dev  ## what two workers gain over one through `sweep launch`
+	$(BIN)/python tests/benchmarks/launch_scaling.py --json bench-launch.json
 
 bench-gpu:  ## the same on a CUDA device, checked against the CPU; needs torch and numpy only, in whatever Python PYTHON is
 	PYTHONPATH=. $(PYTHON) tests/benchmarks/gpu_speed.py --json bench-gpu.json

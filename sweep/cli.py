@@ -4,6 +4,7 @@ Exit codes: 0 done, 1 usage or bad input, 2 some trials failed, 3 incomplete or 
 """
 
 import os
+import re
 import sys
 from typing import Annotated, Any
 
@@ -86,11 +87,21 @@ def _exit_for(error: OSError) -> None:
     sys.exit(1)
 
 
+_COMMENT = re.compile(r"--[^=]*\s")  # an option's name has no blank in it
+
+
+def _prepare_for_sql() -> None:
+    """Let a query begin with a comment in SQL, which looks like an option; and import what queries need without pandas."""
+    sys.argv[2:] = [f" {word}" if _COMMENT.match(word) else word for word in sys.argv[2:]]
+    if "--help" not in sys.argv:
+        without_pandas.import_query()
+
+
 def main() -> None:
     """Run the command line: a mistake of the user's becomes a message and exit code 1."""
     try:
-        if sys.argv[1:2] == ["sql"] and "--help" not in sys.argv:
-            without_pandas.import_query()
+        if sys.argv[1:2] == ["sql"]:
+            _prepare_for_sql()
         code = app(standalone_mode=False)
         if code == _INTERRUPTED:
             raise KeyboardInterrupt

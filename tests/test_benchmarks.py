@@ -45,3 +45,16 @@ def test_the_speed_benchmark_compares_populations_with_a_plain_agent(tmp_path):
     critic, actor = 2 * (3 * 64 + 2 * 64 * 64 + 64), 2 * (2 * 64 + 2 * 64 * 64 + 64 * 2)
     by_hand = 960 * critic + 32 * (3 * actor + 2 * critic) + 2 * 32 * (critic + 2 * actor) + actor
     assert greedy == round(by_hand / 1e6, 2)
+
+
+@pytest.mark.slow
+def test_launches_on_one_worker_and_on_two_take_turns_to_their_ends(tmp_path):
+    command = [sys.executable, "tests/benchmarks/launch_scaling.py", "--trials", "24", "--steps", "1000", "--slice", "2"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(tmp_path)}
+    ran = subprocess.run([*command, "--json", tmp_path / "found.json"], cwd=ROOT, env=environment, capture_output=True, text=True)
+    assert ran.returncode == 0, ran.stderr
+    one, two = json.loads((tmp_path / "found.json").read_text())
+    assert (one["workers"], two["workers"]) == (1, 2)
+    assert one["trials"] == two["trials"] == 24
+    assert one["agent_steps"] == two["agent_steps"] == 24_000
+    assert f"{one['seconds'] / two['seconds']:.3f} x one" in ran.stdout

@@ -39,6 +39,12 @@ def test_there_is_a_row_for_every_step_of_every_trial(finished):
     assert sweep("sql", "--format", "csv", cwd=finished, stdin=query).stdout.split()[-1] == "8"
 
 
+@pytest.mark.parametrize("comment", ["-- all of them\n", "--all of them, a = 1\n", "--\n"])
+def test_a_query_may_begin_with_a_comment(finished, comment):
+    asked = sweep("sql", "--format=csv", "--store", "results", f"{comment}SELECT 41 + 1 AS answer", cwd=finished)
+    assert asked.stdout.split() == ["answer", "42"], asked.stderr
+
+
 def test_launching_again_says_that_there_is_nothing_to_do(finished):
     ran = sweep("launch", "grid.toml", cwd=finished)
     assert (ran.returncode, ran.stdout) == (0, "tiny: all 8 trials are finished; nothing to do.\n")
