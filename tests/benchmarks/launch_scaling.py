@@ -10,7 +10,7 @@ launches alternate: every few seconds one of them is frozen (SIGSTOP to all of i
 timed by the slices it had, from its first process to the end of its last.
 
 `--in-turns N` launches them N times one after the other instead, undisturbed, and says from the stores' own columns how much of
-the workers' time was training, and how much longer training took side by side.
+the workers' time was not training.
 """
 
 import argparse
