@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from agents.algorithm import Task
-from agents.kernels.arithmetic import Activations
+from agents.kernels.arithmetic import Activations, Follower
 from agents.networks import PopulationMLP, polyak_average_
 from agents.optimizer import PopulationAdam
 from agents.population import Population
@@ -60,18 +60,18 @@ class Critic:
         network, actions = self.target if target else self.online, every.expand(*states.shape[:2], *every.shape[2:])
         return self.smaller(network.values_of_actions(self._each(states), self._each(actions)))
 
-    def learn(self, batch: Batch, next_values: Tensor) -> Tensor:
+    def learn(self, batch: Batch, next_values: Tensor, *, moves_target: bool = False) -> Tensor:
         """Descend the mean of (R + γ·continues·v' − q_i(S, A))² for the values v' [P, B, 1] of S'; return the loss [P].
 
-        With a double critic the losses add up. Targets do not move: `update_target` follows.
+        With a double critic the losses add up. `moves_target`: what `update_target` does follows at once, while an agent's
+        parameters are in the cache; without it, targets do not move.
         """
         B = batch.rewards.shape[1]
         targets = batch.rewards + self.task.discount * batch.continues * next_values
         pairs = self._pairs(batch.states, batch.actions) if self._one_hot else batch.states_actions
-        values, kept = self.online.forward_for_gradient(self._each(pairs))
-        errors = values - self._each(targets)
+        target = Follower(self.target.parameters, self._polyak) if moves_target else None
         # the mean of the squared error, not of its half as the thesis prints: with Adam the factor cancels but for ε
-        self.online.descend(kept, errors * (2 / B), self.optimizer)
+        errors = self.online.regress(self._each(pairs), self._each(targets), self.optimizer, target)
         return errors.square().view(-1, self.count * B).mean(dim=1) * self.count
 
     def update_target(self) -> None:

@@ -1,8 +1,8 @@
 """P multilayer perceptrons of one shape, their parameters stacked along a leading axis: the population network.
 
 The interface is small, so that one engine can stand in for another (`agents.kernels`): flat parameters [P, n], `forward`,
-`forward_for_gradient`, `backward`, `descend`, `values_of_actions`. Gradients are explicit: an algorithm hands the gradient of
-its loss with respect to the outputs to `descend`, or to `backward`.
+`forward_for_gradient`, `backward`, `descend`, `regress`, `values_of_actions`. Gradients are explicit: an algorithm hands the
+gradient of its loss with respect to the outputs to `descend`, or to `backward`; a squared error is `regress`'s own.
 
 An agent's numbers are the same, bit for bit, in every population: the engines see to that.
 """
@@ -15,6 +15,8 @@ import torch
 from torch import Tensor
 
 from agents import kernels
+from agents.kernels import torch_arithmetic
+from agents.kernels.arithmetic import Follower
 from agents.kernels.layout import lay_out
 from agents.kernels.native_arithmetic import NativeArithmetic
 from agents.kernels.torch_arithmetic import TorchArithmetic
@@ -119,6 +121,20 @@ class PopulationMLP:
         self._check(output_gradient, self.layout.outputs)
         self._arithmetic.descend(kept, output_gradient, optimizer)
 
+    def regress(self, x: Tensor, targets: Tensor, optimizer: "PopulationAdam", follower: Follower | None = None) -> Tensor:
+        """Take the optimizer's step down the mean over the batch of (f(x) − targets)², f(x) the outputs for x [P, B, in].
+
+        Returns the errors f(x) − targets [P, B, out] of before. Then the follower's parameters move towards the new ones.
+        """
+        self._check(x, self.layout.inputs)
+        self._check(targets, self.layout.outputs)
+        if targets.shape[1] != x.shape[1]:
+            raise ValueError(f"targets {tuple(targets.shape)} for inputs {tuple(x.shape)}")
+        if follower is not None:
+            _check_averaging(follower.parameters, self.parameters)
+            follower = Follower(follower.parameters, _rates(follower.rates, len(self.parameters)))
+        return self._arithmetic.regress(x, targets, optimizer, follower)
+
     def values_of_actions(self, states: Tensor, actions: Tensor) -> Tensor:
         """Return the first output [P, B, N] for every (state, action) pair: states [P, B, S] and actions [P, B, N, A].
 
@@ -139,12 +155,18 @@ class PopulationMLP:
 
 def polyak_average_(target: Tensor, online: Tensor, weight: Tensor) -> None:
     """target ← (1 − β)·target + β·online, for parameters [P, n] and weights β [P, 1] (thesis equation 4.7)."""
-    native = kernels.library(target.device.type)
+    _check_averaging(target, online)
+    native, rates = kernels.library(target.device.type), _rates(weight, len(target))
     if native is None:
-        target.add_((online - target).mul_(weight))
+        torch_arithmetic.polyak_average_(target, online, rates)
         return
-    P, n = target.shape
+    native.polyak(*target.shape, target.data_ptr(), online.data_ptr(), rates.data_ptr())
+
+
+def _rates(rates: Tensor, population: int) -> Tensor:
+    return rates.to(torch.float32).expand(population, 1).contiguous()
+
+
+def _check_averaging(target: Tensor, online: Tensor) -> None:
     if online.shape != target.shape or not (target.is_contiguous() and online.is_contiguous()):
         raise ValueError(f"parameters {tuple(online.shape)} for a target {tuple(target.shape)}: both must be dense, and alike")
-    weight = weight.to(torch.float32).expand(P, 1).contiguous()
-    native.polyak(P, n, target.data_ptr(), online.data_ptr(), weight.data_ptr())

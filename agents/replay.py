@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from agents import kernels
 from agents.clock import Clock
 from agents.lasting import CheckpointError
 from agents.rng import Purpose, RandomStream
@@ -81,7 +82,7 @@ class Replay:
         if self._clock is not None and self._clock.tensor is not None:
             size = self._clock.tensor.clamp(max=self.capacity)
         indices = stream.integers(Purpose.MINIBATCH, step, batch_size, size, offset=self.capacity)
-        rows = self.rows.view(-1, self.width).index_select(0, indices.view(-1)).view(*indices.shape, self.width)
+        rows = self._gathered(indices)
         S, A = self.state_size, self.action_size
         return Batch(
             states=rows[..., :S],
@@ -91,3 +92,12 @@ class Replay:
             continues=rows[..., S + A + 1 : S + A + 2],
             next_states=rows[..., S + A + 2 :],
         )
+
+    def _gathered(self, indices: Tensor) -> Tensor:
+        """Return the rows [P, B, width] at these places [P, B], counted over the buffers of all agents."""
+        native = kernels.library(self.rows.device.type)
+        if native is None:
+            return self.rows.view(-1, self.width).index_select(0, indices.view(-1)).view(*indices.shape, self.width)
+        rows = torch.empty(*indices.shape, self.width)
+        native.gather(indices.numel(), self.width, self.rows.data_ptr(), indices.data_ptr(), rows.data_ptr())
+        return rows

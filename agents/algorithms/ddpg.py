@@ -59,9 +59,9 @@ class DDPG:
     def update(self, batch: Batch, step: int) -> Tensor:
         """Update critic, actor and targets, in this order (lines 9–16)."""
         next_actions = Deterministic(self.space, self.actor_target.forward(batch.next_states)).actions
-        loss = self.critic.learn(batch, self.critic.target_values(batch.next_states, next_actions))  # lines 9–11
+        next_values = self.critic.target_values(batch.next_states, next_actions)
+        loss = self.critic.learn(batch, next_values, moves_target=True)  # lines 9–11 and 15
         self._update_actor(batch.states)
-        self.critic.update_target()  # line 15
         polyak_average_(self.actor_target.parameters, self.actor.parameters, self.polyak)  # line 16
         return loss
 

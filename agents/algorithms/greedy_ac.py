@@ -55,8 +55,8 @@ class GreedyAC:
     def update(self, batch: Batch, step: int) -> Tensor:
         """Update critic, target, then proposal and actor, neither of which sees the other's step (Algorithm 7, lines 12–18)."""
         next_actions = self.actor.sample(batch.next_states, Purpose.NEXT_ACTION, step)
-        loss = self.critic.learn(batch, self.critic.target_values(batch.next_states, next_actions))  # lines 12–13
-        self.critic.update_target()  # lines 14–15
+        next_values = self.critic.target_values(batch.next_states, next_actions)
+        loss = self.critic.learn(batch, next_values, moves_target=True)  # lines 12–15
         if isinstance(self.space, Continuous):
             self.ccem.update(self.critic, batch.states, step)  # lines 16–18
         else:

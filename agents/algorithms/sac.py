@@ -53,8 +53,7 @@ class SAC:
         """Update critics, targets and actor, in this order (lines 9–15)."""
         next_actions, log_prob = self.actor.sample_with_log_prob(batch.next_states, Purpose.NEXT_ACTION, step)
         next_values = self.critic.target_values(batch.next_states, next_actions) - self.entropy_scale * log_prob
-        loss = self.critic.learn(batch, next_values)  # lines 9–11
-        self.critic.update_target()  # lines 12–13
+        loss = self.critic.learn(batch, next_values, moves_target=True)  # lines 9–13
         log_prob = self.actor.improve(self.critic, batch.states, self.entropy_scale, step)  # lines 14–15
         if self.tuning is not None:
             self.tuning.step_(log_prob)

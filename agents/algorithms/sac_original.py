@@ -71,5 +71,4 @@ class SACOriginal:
 
     def _update_value(self, soft_values: Tensor, states: Tensor) -> None:
         """Descend the mean of (v(S) − soft value)² (lines 10–11)."""
-        values, kept = self.value.forward_for_gradient(states)
-        self.value.descend(kept, (values - soft_values) * (2 / states.shape[1]), self.value_optimizer)
+        self.value.regress(states, soft_values, self.value_optimizer)

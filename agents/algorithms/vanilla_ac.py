@@ -47,8 +47,8 @@ class VanillaAC:
     def update(self, batch: Batch, step: int) -> Tensor:
         """Update critic, target and actor, in this order (lines 9–15)."""
         next_actions = self.actor.sample(batch.next_states, Purpose.NEXT_ACTION, step)
-        loss = self.critic.learn(batch, self.critic.target_values(batch.next_states, next_actions))  # lines 9–11
-        self.critic.update_target()  # lines 12–13
+        next_values = self.critic.target_values(batch.next_states, next_actions)
+        loss = self.critic.learn(batch, next_values, moves_target=True)  # lines 9–13
         if isinstance(self.space, Continuous):
             self._update_gaussian_actor(self.space, batch.states, step)
         else:

@@ -1,6 +1,6 @@
 """What an engine does for one population network, and what it keeps of a forward pass."""
 
-from typing import TYPE_CHECKING, Any, Protocol, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, Self
 
 from torch import Tensor
 
@@ -21,6 +21,13 @@ class Activations(Protocol):
         ...
 
 
+class Follower(NamedTuple):
+    """Parameters [P, n] that follow a network's by Polyak averaging, at `rates` [P, 1]: a target network's."""
+
+    parameters: Tensor
+    rates: Tensor
+
+
 class Arithmetic(Protocol):
     """The methods of `agents.networks.PopulationMLP`, whose docstrings hold here."""
 
@@ -28,4 +35,5 @@ class Arithmetic(Protocol):
     def forward_for_gradient(self, x: Tensor) -> tuple[Tensor, Any]: ...
     def backward(self, kept: Any, output_gradient: Tensor, gradient: Tensor | None, inputs: bool) -> Tensor | None: ...
     def descend(self, kept: Any, output_gradient: Tensor, optimizer: "PopulationAdam") -> None: ...
+    def regress(self, x: Tensor, targets: Tensor, optimizer: "PopulationAdam", follower: Follower | None) -> Tensor: ...
     def values_of_actions(self, states: Tensor, actions: Tensor) -> Tensor: ...

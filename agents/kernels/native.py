@@ -9,13 +9,14 @@ from typing import Any
 
 from agents.kernels.layout import Layout
 
-INTERFACE_VERSION = 1  # that of src/dispatch.cpp
+INTERFACE_VERSION = 2  # that of src/dispatch.cpp
 _INT, _LONG, _WORD, _FLOAT, _POINTER = ctypes.c_int, ctypes.c_int64, ctypes.c_uint32, ctypes.c_float, ctypes.c_void_p
 _ROWS = (_POINTER, _LONG, _LONG)  # data, floats from one agent to the next, from one row to the next
 _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "forward": (_POINTER, _INT, _INT, _POINTER, *_ROWS, _POINTER, _POINTER, _POINTER),
     "backward": (_POINTER, _INT, _INT, _POINTER, _POINTER, *_ROWS, _POINTER, _POINTER, _POINTER, _POINTER),
     "descend": (_POINTER, _INT, _INT, _POINTER, _POINTER, *_ROWS, *(_POINTER,) * 4, _FLOAT, _FLOAT, _POINTER),
+    "regress": (_POINTER, _INT, _INT, _POINTER, *_ROWS, _POINTER, _FLOAT, *(_POINTER,) * 3, _FLOAT, _FLOAT, *(_POINTER,) * 4),
     "values": (_POINTER, _INT, _INT, _INT, _INT, _POINTER, *_ROWS, *_ROWS, _POINTER, _POINTER),
     "best_actions": (_LONG, _INT, _INT, _INT, _POINTER, _POINTER, _POINTER, _POINTER),
     "adam": (_INT, _LONG, *(_POINTER,) * 5, _FLOAT, _FLOAT),
@@ -23,6 +24,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "uniforms": (_INT, _POINTER, _WORD, _WORD, _LONG, _POINTER),
     "normals": (_INT, _POINTER, _WORD, _WORD, _LONG, _POINTER),
     "integers": (_INT, _POINTER, _WORD, _WORD, _LONG, _WORD, _LONG, _POINTER),
+    "gather": (_LONG, _LONG, _POINTER, _POINTER, _POINTER),
 }
 
 
@@ -69,6 +71,7 @@ class Library:
     forward: Callable[..., None]
     backward: Callable[..., None]
     descend: Callable[..., None]
+    regress: Callable[..., None]
     values: Callable[..., None]
     best_actions: Callable[..., None]
     adam: Callable[..., None]
@@ -76,6 +79,7 @@ class Library:
     uniforms: Callable[..., None]
     normals: Callable[..., None]
     integers: Callable[..., None]
+    gather: Callable[..., None]
     scratch_size: Callable[[int, int], int]
 
     def __init__(self, path: Path, loaded: ctypes.CDLL, variant: str, compiled: tuple[str, ...]) -> None:

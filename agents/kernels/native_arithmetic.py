@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from agents.kernels.arithmetic import Follower
 from agents.kernels.layout import Layout
 from agents.kernels.native import Library, Shape
 
@@ -125,6 +126,32 @@ class NativeArithmetic:
             correction_2,
             self._scratch(B),
         )
+
+    def regress(self, x: Tensor, targets: Tensor, optimizer: "PopulationAdam", follower: Follower | None) -> Tensor:
+        P, B, _ = x.shape
+        x, targets, errors = _dense(x), targets.contiguous(), torch.empty(targets.shape)
+        correction_1, correction_2 = optimizer.next_corrections()
+        self._library.regress(
+            self._shape.pointer,
+            P,
+            B,
+            self._parameters.data_ptr(),
+            x.data_ptr(),
+            x.stride(0),
+            x.stride(1),
+            targets.data_ptr(),
+            2 / B,
+            optimizer.first_moment.data_ptr(),
+            optimizer.second_moment.data_ptr(),
+            optimizer.step_sizes.data_ptr(),
+            correction_1,
+            correction_2,
+            None if follower is None else follower.parameters.data_ptr(),
+            None if follower is None else follower.rates.data_ptr(),
+            errors.data_ptr(),
+            self._scratch(B),
+        )
+        return errors
 
     def values_of_actions(self, states: Tensor, actions: Tensor) -> Tensor:
         P, B, N, A = actions.shape

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from agents.kernels.arithmetic import Follower
 from agents.kernels.layout import LINE, Layout, aligned
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ class TorchArithmetic:
     """Batched matrix products on views of the parameters: weights [P, in, out], biases [P, 1, out]."""
 
     def __init__(self, layers: Views, layout: Layout, parameters: Tensor) -> None:
-        self._layers, self._layout, self._device = layers, layout, parameters.device
+        self._layers, self._layout, self._parameters, self._device = layers, layout, parameters, parameters.device
         self._gradient: Tensor | None = None
         self._buffers: dict[tuple[str, int, tuple[int, ...]], Tensor] = {}
 
@@ -93,6 +94,14 @@ class TorchArithmetic:
         self.backward(kept, output_gradient, self._gradient, False)
         optimizer.step_(self._gradient)
 
+    def regress(self, x: Tensor, targets: Tensor, optimizer: "PopulationAdam", follower: Follower | None) -> Tensor:
+        outputs, kept = self.forward_for_gradient(x)
+        errors = outputs - targets
+        self.descend(kept, errors * (2 / x.shape[1]), optimizer)
+        if follower is not None:
+            polyak_average_(follower.parameters, self._parameters, follower.rates)
+        return errors
+
     def values_of_actions(self, states: Tensor, actions: Tensor) -> Tensor:
         P, B, N, A = actions.shape
         (weights, biases), S = self._layers[0], states.shape[2]
@@ -111,6 +120,11 @@ class TorchArithmetic:
         weights, biases = self._layers[-1]  # a product with one column is slow as a matrix product: multiply and sum
         values = torch.sum(x.mul_(weights[:, :, :1].transpose(1, 2)), dim=2)
         return values.add_(biases[:, :, 0]).view(P, B, N)
+
+
+def polyak_average_(target: Tensor, online: Tensor, rates: Tensor) -> None:
+    """Move a target [P, n] towards parameters [P, n] at rates [P, 1]."""
+    target.add_((online - target).mul_(rates))
 
 
 def _lined_up_empty(shape: tuple[int, ...], device: torch.device) -> Tensor:

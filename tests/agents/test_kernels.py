@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from kernel_networks import SHAPES, P, network, variants
 
 import agents
 from agents import kernels
@@ -23,43 +24,13 @@ from agents.rng import Purpose, RandomStream
 ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.skipif(not native.library_file().exists(), reason="no native kernels here")
 
-P = 3
 GOLDEN = "21fe09a4fa83f1ae"  # of `everything`
-SHAPES = [
-    # inputs, hidden, outputs, batch
-    (3, (64, 64, 64), 1, 32),
-    (2, (64, 64), 2, 32),
-    (3, (64, 64), 1, 1),
-    (4, (8,), 3, 5),
-    (7, (10, 33, 7), 2, 13),
-    (17, (256, 256), 6, 32),
-    (5, (128, 112, 144), 1, 7),
-    (1, (1, 1), 1, 2),
-    (23, (65, 300), 4, 33),
-    (4, (8,), 3, 200),
-]
-
-
-def variants():
-    try:
-        best = native.load(None)
-    except native.NotAvailableError:
-        return []
-    return [f"native-{name}" for name in best.compiled[best.compiled.index(best.variant) :]]
 
 
 @pytest.fixture(params=variants())
 def engine(request):
     with kernels.using(request.param), torch.no_grad():
         yield request.param
-
-
-def network(inputs, hidden, heads, seed=0, population=P):
-    generator = torch.Generator().manual_seed(seed)
-    made = PopulationMLP(population, inputs, hidden, heads)
-    for part in itertools.chain(*made.layers):
-        part.copy_(torch.randn(part.shape, generator=generator) / part.shape[1] ** 0.5)
-    return made, generator
 
 
 def double_forward(layers, x):
@@ -120,43 +91,6 @@ def test_inputs_may_be_views_of_wider_rows(engine):
     assert torch.equal(made.forward(rows[..., 2:5]).clone(), made.forward(rows[..., 2:5].contiguous()))
     turned = rows[..., 2:5].transpose(1, 2).contiguous().transpose(1, 2)  # the last axis is not dense
     assert torch.equal(made.forward(turned).clone(), made.forward(rows[..., 2:5].contiguous()))
-
-
-@pytest.mark.parametrize(("inputs", "hidden", "outputs", "batch"), SHAPES)
-def test_descend_is_backward_and_a_step_of_adam_bit_for_bit(engine, inputs, hidden, outputs, batch):
-    results = []
-    for fused in (True, False):
-        made, generator = network(inputs, hidden, (outputs,))
-        optimizer = PopulationAdam(made.parameters, torch.tensor([1e-1, 1e-3, 1e-5]))
-        for _ in range(3):
-            x = torch.randn(P, batch, inputs, generator=generator)
-            dy = torch.randn(P, batch, outputs, generator=generator)
-            made.forward(torch.randn(P, batch, inputs, generator=generator))  # another use of the same scratch memory
-            _, kept = made.forward_for_gradient(x)
-            if fused:
-                made.descend(kept, dy, optimizer)
-            else:
-                made.backward(kept, dy)
-                optimizer.step_(made.gradient)
-        results.append((made.parameters, optimizer.first_moment, optimizer.second_moment))
-    assert all(torch.equal(a, b) for a, b in zip(*results, strict=True))
-    made, _ = network(inputs, hidden, (outputs,))
-    assert not torch.equal(made.parameters, results[0][0])
-
-
-def test_adam_and_polyak_do_not_depend_on_the_number_of_parameters(engine):
-    generator = torch.Generator().manual_seed(0)
-    parameters, gradient = torch.randn(2, 100, generator=generator), torch.randn(2, 100, generator=generator)
-    whole = parameters.clone()
-    PopulationAdam(whole, torch.tensor([0.1, 0.2])).step_(gradient)
-    target = torch.zeros_like(whole)
-    polyak_average_(target, whole, torch.tensor([[0.3], [0.7]]))
-    for count in (1, 3, 17, 99):
-        part, part_target = parameters[:, :count].contiguous(), torch.zeros(2, count)
-        PopulationAdam(part, torch.tensor([0.1, 0.2])).step_(gradient[:, :count].contiguous())
-        polyak_average_(part_target, part, torch.tensor([[0.3], [0.7]]))
-        assert torch.equal(part, whole[:, :count])
-        assert torch.equal(part_target, target[:, :count])
 
 
 def test_a_number_that_is_not_finite_is_never_hidden_by_a_relu(engine):
@@ -226,15 +160,28 @@ def test_normal_numbers_are_those_of_double_precision(engine):
     torch.testing.assert_close(stream.normals(Purpose.ACTION, 1, 6400)[0].double(), expected, rtol=1e-6, atol=1e-6)
 
 
-@pytest.mark.parametrize("count", [1, 3, 30])
-def test_best_actions_are_the_first_of_the_highest_values(engine, count):
+@pytest.mark.parametrize(
+    ("num_actions", "count"), [(30, 1), (30, 3), (30, 30), (1, 1), (7, 2), (16, 16), (17, 4), (48, 5), (101, 50)]
+)
+def test_best_actions_are_the_first_of_the_highest_values(engine, num_actions, count):
     generator = torch.Generator().manual_seed(0)
-    values = torch.randint(0, 12, (P, 5, 30), generator=generator).float()  # with ties
-    actions = torch.randn(P, 5, 30, 2, generator=generator)
+    values = torch.randint(-5, 7, (P, 50, num_actions), generator=generator).float()  # with ties, of 0 and -0, too
+    values = torch.where(torch.rand(values.shape, generator=generator) < 0.05, torch.inf, values)
+    values[:, ::2] *= -1
+    actions = torch.randn(P, 50, num_actions, 2, generator=generator)
     order = values.argsort(dim=2, descending=True, stable=True)[..., :count]
-    assert torch.equal(best_actions(values, actions, count), actions.gather(2, order.unsqueeze(-1).expand(-1, -1, -1, 2)))
+    expected = actions.gather(2, order.unsqueeze(-1).expand(-1, -1, -1, 2))
+    found = best_actions(values, actions, count)
+    finite = values.gather(2, order) > -torch.inf
+    assert torch.equal(found[finite], expected[finite])
+    assert torch.equal(found[~finite], actions[:, :, :1].expand_as(found)[~finite])
     values[1] = torch.nan
-    assert best_actions(values, actions, count)[[0, 2]].isfinite().all()
+    found = best_actions(values, actions, count)
+    assert torch.equal(found[1], actions[1, :, :1].expand_as(found[1]))
+    values[0, :, 1:] = torch.nan  # one number among NaN is the best, wherever it is
+    assert torch.equal(best_actions(values, actions, count)[0, :, 0], actions[0, :, 0])
+    values[0, :, 0], values[0, :, -1] = torch.nan, -3.0
+    assert torch.equal(best_actions(values, actions, count)[0, :, 0], actions[0, :, -1])
 
 
 @pytest.mark.parametrize("widths", [(3, 64, 64, 1), (2, 8, 2), (7, 10, 33, 7, 2), (17, 128, 256, 6)])

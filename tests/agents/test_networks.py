@@ -5,7 +5,9 @@ import pytest
 import torch
 from torch import nn
 
+from agents.kernels.arithmetic import Follower
 from agents.networks import PopulationMLP, polyak_average_
+from agents.optimizer import PopulationAdam
 
 P, B = 3, 5
 
@@ -46,6 +48,37 @@ def test_forward_and_backward_equal_torch_nn_with_autograd(hidden):
         for (weight_gradient, bias_gradient), layer in zip(network.gradient_layers, linears, strict=True):
             torch.testing.assert_close(weight_gradient[p], layer.weight.grad.T, rtol=1e-5, atol=1e-6)
             torch.testing.assert_close(bias_gradient[p, 0], layer.bias.grad, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("hidden", [(8,), (64, 64), (16, 32, 16)])
+def test_regress_equals_torch_optim_on_the_mean_squared_error_and_an_average_of_its_parameters(hidden):
+    network, twins, generator = network_and_twins(4, hidden, (1,))
+    step_sizes, rates = [1e-1, 1e-2, 1e-3], [0.5, 0.01, 1.0]
+    optimizer = PopulationAdam(network.parameters, torch.tensor(step_sizes))
+    target = PopulationMLP(P, 4, hidden, (1,))
+    target.parameters.copy_(network.parameters)
+    follower = Follower(target.parameters, torch.tensor(rates)[:, None])
+    theirs = [torch.optim.Adam(twin.parameters(), lr=one) for twin, one in zip(twins, step_sizes, strict=True)]
+    averages = [[x.detach().clone() for x in twin.parameters()] for twin in twins]
+    for _ in range(4):
+        x, y = torch.randn(P, B, 4, generator=generator), torch.randn(P, B, 1, generator=generator)
+        errors = network.regress(x, y, optimizer, follower)
+        for p, twin in enumerate(twins):
+            values = twin(x[p])
+            torch.testing.assert_close(errors[p], values.detach() - y[p], rtol=1e-4, atol=1e-5)
+            theirs[p].zero_grad()
+            nn.functional.mse_loss(values, y[p]).backward()
+            theirs[p].step()
+            for average, now in zip(averages[p], twin.parameters(), strict=True):
+                average.lerp_(now.detach(), rates[p])
+    for p, twin in enumerate(twins):
+        linears = [layer for layer in twin if isinstance(layer, nn.Linear)]
+        for (weights, biases), layer in zip(network.layers, linears, strict=True):
+            torch.testing.assert_close(weights[p], layer.weight.detach().T, rtol=1e-4, atol=1e-5)
+            torch.testing.assert_close(biases[p, 0], layer.bias.detach(), rtol=1e-4, atol=1e-5)
+        followed = [part for weights, biases in target.layers for part in (weights[p].T, biases[p, 0])]
+        for part, average in zip(followed, averages[p], strict=True):
+            torch.testing.assert_close(part, average, rtol=1e-4, atol=1e-5)
 
 
 @pytest.mark.parametrize("num_actions", [1, 3])

@@ -1,5 +1,6 @@
 import torch
 
+from agents import kernels
 from agents.replay import Replay
 from agents.rng import RandomStream
 
@@ -41,3 +42,16 @@ def test_agents_with_different_seeds_draw_different_minibatches():
 def test_a_full_buffer_forgets_the_oldest():
     batch = filled(1, 10, 25).sample(RandomStream(torch.tensor([0])), 25, 500)
     assert set(batch.rewards.flatten().unique().tolist()) == set(range(15, 25))
+
+
+def test_both_engines_take_the_same_rows_from_buffers_of_any_width():
+    for state_size, action_size in ((1, 1), (3, 2), (17, 6), (40, 1)):
+        batches = []
+        for engine in ("auto", "torch"):
+            with kernels.using(engine):
+                replay = Replay(3, 500, state_size, action_size, torch.device("cpu"))
+                replay.rows.copy_(torch.arange(replay.rows.numel()).view(replay.rows.shape))
+                replay.num_added = 500
+                batches.append(replay.sample(RandomStream(torch.arange(3)), 7, 41))
+        for name in ("states", "actions", "states_actions", "rewards", "continues", "next_states"):
+            assert torch.equal(getattr(batches[0], name), getattr(batches[1], name)), name

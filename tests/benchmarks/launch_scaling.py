@@ -1,12 +1,12 @@
 """What two workers gain over one through `sweep launch`, and what surrounds the training: Ray, Parquet, processes, scheduling.
 
-    python tests/benchmarks/launch_scaling.py [--trials 384] [--steps 10000] [--slice 4] [--in-turns 0] [--json FILE]
+    python tests/benchmarks/launch_scaling.py [--trials 384] [--steps 10000] [--slice 10] [--in-turns 0] [--json FILE]
 
 The same trials (Pendulum with continuous actions, three hidden layers of 64) are launched on one worker and on two, each into a
 new store. Pilots run before: what they find is kept for every later launch.
 
 A machine that others use, too, drifts by ten per cent from one minute to the next, more than what is to be measured. So the
-launches alternate: every few seconds one of them is frozen (SIGSTOP to all of its processes) and the other one goes on. Each is
+launches alternate: every ten seconds one of them is frozen (SIGSTOP to all of its processes) and the other one goes on. Each is
 timed by the slices it had, from its first process to the end of its last.
 
 `--in-turns N` launches them N times one after the other instead, undisturbed, and says from the stores' own columns how much of
@@ -152,7 +152,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--trials", type=int, default=384)
     parser.add_argument("--steps", type=int, default=10_000)
-    parser.add_argument("--slice", type=float, default=4.0, help="seconds before the other launch has its turn")
+    parser.add_argument("--slice", type=float, default=10.0, help="seconds before the other launch has its turn")
     parser.add_argument("--in-turns", type=int, default=0, metavar="N", help="so many pairs, one launch after the other")
     parser.add_argument("--algorithm", default="GreedyAC")
     parser.add_argument("--json", type=Path, help="write the results there too")

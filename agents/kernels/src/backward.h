@@ -118,12 +118,48 @@ static void descend(const Network &net, int population, int batch, float *parame
     Ahead ahead;
     ahead.add(adam.first + a * net.size, net.size);
     ahead.add(adam.second + a * net.size, net.size);
-    if (a + 1 < population) {
-      ahead.add(kept + (a + 1) * size, size);
-      ahead.add(p + net.size, net.size);
-    }
+    bool last = a + 1 == population;
+    if (!last) ahead.add(kept + (a + 1) * size, size);
     backward_agent(net, p, kept + a * size, x.data + a * x.agent, x.row, dy + a * batch * net.outputs, batch, g, nullptr,
                    scratch + net.size, ahead);
-    adam_agent(adam, a, net.size, p, g);
+    adam_agent(adam, a, net.size, p, g, last ? p : p + net.size);
+  }
+}
+
+// What follows a network's parameters by Polyak averaging: parameters [population, size], or null, and rates [population].
+struct Follower {
+  float *parameters;
+  const float *rates;
+};
+
+// Floats of scratch memory for `descend` and `regress`: a gradient, an agent's activations and outputs, and the backward pass's.
+INLINE int64_t training_scratch(const Network &net, int64_t batch) {
+  return net.size + activations_size(net, batch) + backward_scratch(net, batch) + batch * net.outputs;
+}
+
+// A step of Adam down the sum over the batch of scale/2 · (outputs − targets)², then one of the follower; `errors` are outputs −
+// targets, as targets [population, batch, outputs]. All passes of an agent, one after another: its activations stay in the cache.
+static void regress(const Network &net, int population, int batch, float *parameters, Rows x, const float *targets, float scale,
+                    Adam adam, Follower follower, float *errors, float *scratch) {
+  float *g = scratch, *kept = g + net.size, *rest = kept + activations_size(net, batch);
+  float *dy = rest + backward_scratch(net, batch);
+  int count = batch * net.outputs;
+  memset(g, 0, sizeof(float) * net.size);
+  for (int64_t a = 0; a < population; a++) {
+    float *p = parameters + a * net.size, *follows = follower.parameters ? follower.parameters + a * net.size : nullptr;
+    const float *inputs = x.data + a * x.agent;
+    Ahead ahead;
+    ahead.add(adam.first + a * net.size, net.size);
+    ahead.add(adam.second + a * net.size, net.size);
+    ahead.add(follows, net.size);
+    float *e = errors + a * count;
+    forward_agent(net, p, inputs, x.row, batch, e, kept, ahead);
+    for (int i = 0; i < count; i++) {
+      e[i] -= targets[a * count + i];
+      dy[i] = e[i] * scale;
+    }
+    backward_agent(net, p, kept, inputs, x.row, dy, batch, g, nullptr, rest, ahead);
+    adam_agent(adam, a, net.size, p, g, a + 1 < population ? p + net.size : p);
+    if (follows) polyak_agent(net.size, follows, p, follower.rates[a]);
   }
 }

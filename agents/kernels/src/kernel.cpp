@@ -1,5 +1,6 @@
 // One variant of the native engine: compiled once for each instruction set, with its name in VARIANT (setup.py).
 #include "backward.h"
+#include "gather.h"
 #include "random.h"
 #include "values.h"
 
@@ -8,7 +9,7 @@
 #define EXPORT(name) extern "C" __attribute__((visibility("default"))) void JOIN(name, VARIANT)
 
 extern "C" __attribute__((visibility("default"))) int64_t JOIN(scratch_size, VARIANT)(const Network *net, int64_t batch) {
-  int64_t training = net->size + backward_scratch(*net, batch), inference = activations_size(*net, batch);
+  int64_t training = training_scratch(*net, batch), inference = activations_size(*net, batch);
   int64_t many = values_scratch(*net), most = training > inference ? training : inference;
   return most > many ? most : many;
 }
@@ -30,6 +31,13 @@ EXPORT(descend)(const Network *net, int population, int batch, float *parameters
           {first, second, step_sizes, correction_1, correction_2}, scratch);
 }
 
+EXPORT(regress)(const Network *net, int population, int batch, float *parameters, const float *x, int64_t x_agent, int64_t x_row,
+                const float *targets, float scale, float *first, float *second, const float *step_sizes, float correction_1,
+                float correction_2, float *follower, const float *rates, float *errors, float *scratch) {
+  regress(*net, population, batch, parameters, {x, x_agent, x_row}, targets, scale,
+          {first, second, step_sizes, correction_1, correction_2}, {follower, rates}, errors, scratch);
+}
+
 EXPORT(values)(const Network *net, int population, int batch, int n, int state_size, const float *parameters, const float *states,
                int64_t states_agent, int64_t states_row, const float *actions, int64_t actions_agent, int64_t actions_row,
                float *q, float *scratch) {
@@ -44,7 +52,7 @@ EXPORT(best_actions)(int64_t rows, int n, int size, int k, const float *q, const
 EXPORT(adam)(int population, int64_t n, float *parameters, const float *gradient, float *first, float *second,
              const float *step_sizes, float correction_1, float correction_2) {
   Adam adam = {first, second, step_sizes, correction_1, correction_2};
-  for (int64_t a = 0; a < population; a++) adam_agent(adam, a, n, parameters + a * n, gradient + a * n);
+  for (int64_t a = 0; a < population; a++) adam_agent(adam, a, n, parameters + a * n, gradient + a * n, gradient + a * n);
 }
 
 EXPORT(polyak)(int population, int64_t n, float *target, const float *online, const float *weights) {
@@ -62,4 +70,8 @@ EXPORT(normals)(int population, const int64_t *seeds, uint32_t purpose, uint32_t
 EXPORT(integers)(int population, const int64_t *seeds, uint32_t purpose, uint32_t step, int64_t count, uint32_t high,
                  int64_t offset, int64_t *out) {
   integers(population, seeds, purpose, step, count, high, offset, out);
+}
+
+EXPORT(gather)(int64_t count, int64_t width, const float *rows, const int64_t *indices, float *out) {
+  gather(count, width, rows, indices, out);
 }

@@ -1,6 +1,6 @@
 // Adam and Polyak averaging on flat parameters, as agents/optimizer.py and agents/networks.py define them.
 #pragma once
-#include "vector.h"
+#include "ahead.h"
 
 struct Adam {
   float *first, *second;    // moments [population, n]
@@ -24,11 +24,13 @@ INLINE AdamStep adam_step(AdamStep x, Vector g, Vector step, Vector correction_2
   return x;
 }
 
-INLINE void adam_agent(const Adam &adam, int64_t agent, int64_t n, float *p, const float *g) {
+// One agent; meanwhile as many floats at `later` are fetched, which are read next.
+INLINE void adam_agent(const Adam &adam, int64_t agent, int64_t n, float *p, const float *g, const float *later) {
   float *m = adam.first + agent * n, *v = adam.second + agent * n;
   Vector step = broadcast(-adam.step_sizes[agent] / adam.correction_1), correction_2 = broadcast(adam.correction_2);
   int64_t i = 0;
   for (; i + WIDTH <= n; i += WIDTH) {
+    fetch((const char *)(later + i));
     AdamStep x = adam_step({load(m + i), load(v + i), load(p + i)}, load(g + i), step, correction_2);
     store(m + i, x.first);
     store(v + i, x.second);
@@ -44,14 +46,14 @@ INLINE void adam_agent(const Adam &adam, int64_t agent, int64_t n, float *p, con
   }
 }
 
-// target ← target + β·(online − target)
+// target ← target + β·(online − target), one agent.
+INLINE void polyak_agent(int64_t n, float *t, const float *p, float rate) {
+  Vector weight = broadcast(rate);
+  int64_t i = 0;
+  for (; i + WIDTH <= n; i += WIDTH) store(t + i, fma(weight, load(p + i) - load(t + i), load(t + i)));
+  for (; i < n; i++) t[i] = __builtin_fmaf(rate, p[i] - t[i], t[i]);
+}
+
 static void polyak(int population, int64_t n, float *target, const float *online, const float *weights) {
-  for (int64_t a = 0; a < population; a++) {
-    float *t = target + a * n;
-    const float *p = online + a * n;
-    Vector weight = broadcast(weights[a]);
-    int64_t i = 0;
-    for (; i + WIDTH <= n; i += WIDTH) store(t + i, fma(weight, load(p + i) - load(t + i), load(t + i)));
-    for (; i < n; i++) t[i] = __builtin_fmaf(weights[a], p[i] - t[i], t[i]);
-  }
+  for (int64_t a = 0; a < population; a++) polyak_agent(n, target + a * n, online + a * n, weights[a]);
 }

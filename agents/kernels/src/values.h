@@ -252,19 +252,19 @@ static void values(const Network &net, int population, int batch, int n, int sta
   }
 }
 
-// The k actions [rows, k, size] of highest value among n [rows, n, size], best first; of equal ones the first. NaN is never best.
-static void best_actions(int64_t rows, int n, int size, int k, const float *q, const float *actions, float *out, float *scratch) {
-  float *value = scratch;
-  int32_t *index = (int32_t *)(scratch + k);
+// The k actions [rows, k, size] of highest value among n [rows, n, size], best first; of equal ones the first. NaN and −∞ are
+// never best: where nothing else is left, the first action is taken. `left` has room for n floats, rounded up to a line.
+static void best_actions(int64_t rows, int n, int size, int k, const float *q, const float *actions, float *out, float *left) {
+  constexpr float NONE = -__builtin_inff();
+  int padded = (n + LINE - 1) / LINE * LINE;
+  for (int i = n; i < padded; i++) left[i] = NONE;
   for (int64_t r = 0; r < rows; r++) {
-    for (int j = 0; j < k; j++) value[j] = -__builtin_inff(), index[j] = 0;
-    for (int i = 0; i < n; i++) {
-      float x = q[r * n + i];
-      if (!(x > value[k - 1])) continue;
-      int j = k - 1;
-      for (; j > 0 && x > value[j - 1]; j--) value[j] = value[j - 1], index[j] = index[j - 1];
-      value[j] = x, index[j] = i;
+    for (int i = 0; i < n; i++) left[i] = q[r * n + i] >= NONE ? q[r * n + i] : NONE;
+    for (int j = 0; j < k; j++) {
+      float best = highest(left, padded);
+      int at = best > NONE ? first_of(best, left) : 0;
+      left[at] = NONE;
+      for (int c = 0; c < size; c++) out[(r * k + j) * size + c] = actions[(r * n + at) * size + c];
     }
-    for (int j = 0; j < k; j++) memcpy(out + (r * k + j) * size, actions + (r * n + index[j]) * size, sizeof(float) * size);
   }
 }
