@@ -23,7 +23,7 @@ class Critic:
     def __init__(
         self, population: Population, task: Task, stream: RandomStream, *, double: bool = False, target: bool = True
     ) -> None:
-        """`double`: two critics an agent. Without a `target`, `target_values` and `update_target` are not to be called."""
+        """`double`: two critics an agent. Without a `target`, nothing that asks for it is to be called."""
         hypers = population.shared
         self.count = 2 if double else 1
         self.task = task

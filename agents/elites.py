@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from agents import kernels
-from agents.kernels.layout import LINE
+from agents.kernels.layout import aligned
 
 
 def best_actions(values: Tensor, actions: Tensor, count: int) -> Tensor:
@@ -18,7 +18,7 @@ def best_actions(values: Tensor, actions: Tensor, count: int) -> Tensor:
         return actions.gather(2, best.unsqueeze(-1).expand(-1, -1, -1, actions.shape[3]))
     P, B, N, A = actions.shape
     values, actions = values.contiguous(), actions.contiguous()
-    best, scratch = torch.empty(P, B, count, A), torch.empty(N + LINE)
+    best, scratch = torch.empty(P, B, count, A), torch.empty(aligned(N))
     pointers = (values.data_ptr(), actions.data_ptr(), best.data_ptr(), scratch.data_ptr())
     native.best_actions(P * B, N, A, count, *pointers)
     return best

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from agents import kernels
-from agents.kernels import torch_arithmetic
+from agents.kernels import native_arithmetic, torch_arithmetic
 from agents.kernels.arithmetic import Follower
 from agents.kernels.layout import lay_out
 from agents.kernels.native_arithmetic import NativeArithmetic
@@ -122,17 +122,16 @@ class PopulationMLP:
         self._arithmetic.descend(kept, output_gradient, optimizer)
 
     def regress(self, x: Tensor, targets: Tensor, optimizer: "PopulationAdam", follower: Follower | None = None) -> Tensor:
-        """Take the optimizer's step down the mean over the batch of (f(x) − targets)², f(x) the outputs for x [P, B, in].
+        """Take a step of `optimizer`, which is that of these parameters, down the mean over the batch of Σ_o (f(x) − targets)².
 
-        Returns the errors f(x) − targets [P, B, out] of before. Then the follower's parameters move towards the new ones.
+        f(x) are the outputs [P, B, out] for x [P, B, in], as targets [P, B, out]. Returns the errors f(x) − targets of before
+        the step. Then the follower's parameters move towards the new ones. Counts as a call of `forward_for_gradient`.
+        Raises ValueError for tensors of other shapes or types.
         """
         self._check(x, self.layout.inputs)
         self._check(targets, self.layout.outputs)
         if targets.shape[1] != x.shape[1]:
             raise ValueError(f"targets {tuple(targets.shape)} for inputs {tuple(x.shape)}")
-        if follower is not None:
-            _check_averaging(follower.parameters, self.parameters)
-            follower = Follower(follower.parameters, _rates(follower.rates, len(self.parameters)))
         return self._arithmetic.regress(x, targets, optimizer, follower)
 
     def values_of_actions(self, states: Tensor, actions: Tensor) -> Tensor:
@@ -154,19 +153,12 @@ class PopulationMLP:
 
 
 def polyak_average_(target: Tensor, online: Tensor, weight: Tensor) -> None:
-    """target ← (1 − β)·target + β·online, for parameters [P, n] and weights β [P, 1] (thesis equation 4.7)."""
-    _check_averaging(target, online)
-    native, rates = kernels.library(target.device.type), _rates(weight, len(target))
+    """target ← (1 − β)·target + β·online, for parameters [P, n] and weights β [P, 1] or one for all (thesis equation 4.7).
+
+    Raises ValueError for parameters of different shapes; the native engine wants them dense.
+    """
+    native = kernels.library(target.device.type)
     if native is None:
-        torch_arithmetic.polyak_average_(target, online, rates)
-        return
-    native.polyak(*target.shape, target.data_ptr(), online.data_ptr(), rates.data_ptr())
-
-
-def _rates(rates: Tensor, population: int) -> Tensor:
-    return rates.to(torch.float32).expand(population, 1).contiguous()
-
-
-def _check_averaging(target: Tensor, online: Tensor) -> None:
-    if online.shape != target.shape or not (target.is_contiguous() and online.is_contiguous()):
-        raise ValueError(f"parameters {tuple(online.shape)} for a target {tuple(target.shape)}: both must be dense, and alike")
+        torch_arithmetic.polyak_average_(target, online, weight)
+    else:
+        native_arithmetic.polyak_average_(native, target, online, weight)

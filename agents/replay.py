@@ -49,6 +49,7 @@ class Replay:
         self.rows = torch.zeros(population, capacity, self.width, device=device)
         self.num_added = 0
         self._clock = clock if clock is not None and clock.tensor is not None else None
+        self._native = kernels.library(device.type)
 
     def add(self, states: Tensor, actions: Tensor, rewards: Tensor, terminated: Tensor, next_states: Tensor) -> None:
         """Add one transition an agent: [P, S], [P, A], [P], [P] (bool), [P, S]; the oldest gives way when full."""
@@ -77,7 +78,9 @@ class Replay:
         self.num_added = state["num_added"]
 
     def sample(self, stream: RandomStream, step: int, batch_size: int) -> Batch:
-        """Draw `batch_size` transitions an agent, uniformly with replacement."""
+        """Draw `batch_size` transitions an agent, uniformly with replacement. Raises ValueError for a stream of other agents."""
+        if len(stream.seeds) != len(self.rows):
+            raise ValueError(f"a stream of {len(stream.seeds)} agents for the buffers of {len(self.rows)}")
         size: int | Tensor = min(self.num_added, self.capacity)
         if self._clock is not None and self._clock.tensor is not None:
             size = self._clock.tensor.clamp(max=self.capacity)
@@ -95,9 +98,8 @@ class Replay:
 
     def _gathered(self, indices: Tensor) -> Tensor:
         """Return the rows [P, B, width] at these places [P, B], counted over the buffers of all agents."""
-        native = kernels.library(self.rows.device.type)
-        if native is None:
+        if self._native is None:
             return self.rows.view(-1, self.width).index_select(0, indices.view(-1)).view(*indices.shape, self.width)
         rows = torch.empty(*indices.shape, self.width)
-        native.gather(indices.numel(), self.width, self.rows.data_ptr(), indices.data_ptr(), rows.data_ptr())
+        self._native.gather(indices.numel(), self.width, self.rows.data_ptr(), indices.data_ptr(), rows.data_ptr())
         return rows

@@ -18,9 +18,9 @@ from typing import Any
 os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
 os.environ.setdefault("RAY_AUTH_MODE", "token")
 os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
-# Ray's log monitor looks for new files ten times a second, on cores that train, and nobody asks it for any.
+# The log monitor of a Ray that is started here would look for new files ten times a second, on cores that train, for nobody.
 os.environ.setdefault("RAY_LOG_MONITOR_MANY_FILES_THRESHOLD", "0")
-os.environ.setdefault("LOG_NAME_UPDATE_INTERVAL_S", "60")
+os.environ.setdefault("LOG_NAME_UPDATE_INTERVAL_S", "inf")
 
 import ray
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
@@ -32,7 +32,7 @@ from sweep.messages import UserError
 _OBJECT_STORE_BYTES = 100 * 2**20
 _MAX_RETRIES = 2  # whatever still dies then is tried in parts (`cluster.backlog`)
 _CONNECT_SECONDS = 10.0
-_WAIT_SECONDS = 0.25
+_WAIT_SECONDS = 0.1
 
 
 def check_address(address: str) -> None:

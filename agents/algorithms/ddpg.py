@@ -57,7 +57,7 @@ class DDPG:
         return Deterministic(self.space, self.actor.forward(observations.unsqueeze(1))).actions.squeeze(1)
 
     def update(self, batch: Batch, step: int) -> Tensor:
-        """Update critic, actor and targets, in this order (lines 9–16)."""
+        """Update critic, actor and targets (lines 9–16); the critic's target moves before the actor, which does not read it."""
         next_actions = Deterministic(self.space, self.actor_target.forward(batch.next_states)).actions
         next_values = self.critic.target_values(batch.next_states, next_actions)
         loss = self.critic.learn(batch, next_values, moves_target=True)  # lines 9–11 and 15

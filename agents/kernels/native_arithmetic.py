@@ -129,6 +129,7 @@ class NativeArithmetic:
 
     def regress(self, x: Tensor, targets: Tensor, optimizer: "PopulationAdam", follower: Follower | None) -> Tensor:
         P, B, _ = x.shape
+        rates = None if follower is None else _rates(follower.parameters, self._parameters, follower.rates)
         x, targets, errors = _dense(x), targets.contiguous(), torch.empty(targets.shape)
         correction_1, correction_2 = optimizer.next_corrections()
         self._library.regress(
@@ -147,7 +148,7 @@ class NativeArithmetic:
             correction_1,
             correction_2,
             None if follower is None else follower.parameters.data_ptr(),
-            None if follower is None else follower.rates.data_ptr(),
+            None if rates is None else rates.data_ptr(),
             errors.data_ptr(),
             self._scratch(B),
         )
@@ -181,3 +182,16 @@ class NativeArithmetic:
 def _dense(x: Tensor) -> Tensor:
     """Return x, or a copy, with its last axis dense."""
     return x if x.stride(-1) == 1 else x.contiguous()
+
+
+def polyak_average_(library: Library, target: Tensor, online: Tensor, rates: Tensor) -> None:
+    """Move a target [P, n] towards parameters [P, n] at rates [P, 1]. Raises ValueError where a kernel would misread them."""
+    rates = _rates(target, online, rates)
+    library.polyak(*target.shape, target.data_ptr(), online.data_ptr(), rates.data_ptr())
+
+
+def _rates(target: Tensor, online: Tensor, rates: Tensor) -> Tensor:
+    """Return the rates [P, 1] as kernels read them, for a target and parameters that can be averaged."""
+    if online.shape != target.shape or not (target.is_contiguous() and online.is_contiguous()):
+        raise ValueError(f"parameters {tuple(online.shape)} for a target {tuple(target.shape)}: both must be dense, and alike")
+    return rates.to(torch.float32).expand(len(target), 1).contiguous()

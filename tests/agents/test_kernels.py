@@ -113,7 +113,7 @@ def spread(*shape):
 
 
 def everything():
-    """What every kernel gives for numbers that are the same on every machine."""
+    """What the kernels of arithmetic and random numbers give for numbers that are the same on every machine."""
     made = PopulationMLP(P, 5, (65, 64, 130), (2, 1))
     for part in itertools.chain(*made.layers):
         part.copy_(spread(*part.shape) / part.shape[1] ** 0.5)
@@ -167,14 +167,14 @@ def test_best_actions_are_the_first_of_the_highest_values(engine, num_actions, c
     generator = torch.Generator().manual_seed(0)
     values = torch.randint(-5, 7, (P, 50, num_actions), generator=generator).float()  # with ties, of 0 and -0, too
     values = torch.where(torch.rand(values.shape, generator=generator) < 0.05, torch.inf, values)
-    values[:, ::2] *= -1
+    values[..., ::2] *= -1
     actions = torch.randn(P, 50, num_actions, 2, generator=generator)
     order = values.argsort(dim=2, descending=True, stable=True)[..., :count]
     expected = actions.gather(2, order.unsqueeze(-1).expand(-1, -1, -1, 2))
     found = best_actions(values, actions, count)
-    finite = values.gather(2, order) > -torch.inf
-    assert torch.equal(found[finite], expected[finite])
-    assert torch.equal(found[~finite], actions[:, :, :1].expand_as(found)[~finite])
+    above = values.gather(2, order) > -torch.inf
+    assert torch.equal(found[above], expected[above])
+    assert torch.equal(found[~above], actions[:, :, :1].expand_as(found)[~above])
     values[1] = torch.nan
     found = best_actions(values, actions, count)
     assert torch.equal(found[1], actions[1, :, :1].expand_as(found[1]))

@@ -1,3 +1,4 @@
+import pytest
 import torch
 
 from agents import kernels
@@ -44,6 +45,7 @@ def test_a_full_buffer_forgets_the_oldest():
     assert set(batch.rewards.flatten().unique().tolist()) == set(range(15, 25))
 
 
+@pytest.mark.skipif(kernels.report().engine == "torch", reason="no native kernels here")
 def test_both_engines_take_the_same_rows_from_buffers_of_any_width():
     for state_size, action_size in ((1, 1), (3, 2), (17, 6), (40, 1)):
         batches = []
@@ -55,3 +57,8 @@ def test_both_engines_take_the_same_rows_from_buffers_of_any_width():
                 batches.append(replay.sample(RandomStream(torch.arange(3)), 7, 41))
         for name in ("states", "actions", "states_actions", "rewards", "continues", "next_states"):
             assert torch.equal(getattr(batches[0], name), getattr(batches[1], name)), name
+
+
+def test_a_stream_of_other_agents_is_refused():
+    with pytest.raises(ValueError, match="a stream of 4 agents for the buffers of 3"):
+        filled(3, 10, 10).sample(RandomStream(torch.arange(4)), 10, 2)

@@ -145,6 +145,7 @@ def counted_flops():
     counting("forward_for_gradient", 1, lambda x: x.shape[1])
     counting("values_of_actions", 1, lambda states, actions: actions.shape[1] * actions.shape[2])
     counting("descend", 2, lambda kept, dy, optimizer: dy.shape[1])
+    counting("regress", 3, lambda x, targets, optimizer, follower=None: x.shape[1])
     counting("backward", lambda k: k.get("parameters", True) + k.get("inputs", False), lambda kept, dy: dy.shape[1])
     try:
         yield counts

@@ -9,9 +9,8 @@
 #define EXPORT(name) extern "C" __attribute__((visibility("default"))) void JOIN(name, VARIANT)
 
 extern "C" __attribute__((visibility("default"))) int64_t JOIN(scratch_size, VARIANT)(const Network *net, int64_t batch) {
-  int64_t training = training_scratch(*net, batch), inference = activations_size(*net, batch);
-  int64_t many = values_scratch(*net), most = training > inference ? training : inference;
-  return most > many ? most : many;
+  int64_t training = training_scratch(*net, batch), many = values_scratch(*net);
+  return training > many ? training : many;
 }
 
 EXPORT(forward)(const Network *net, int population, int batch, const float *parameters, const float *x, int64_t x_agent,
@@ -52,7 +51,10 @@ EXPORT(best_actions)(int64_t rows, int n, int size, int k, const float *q, const
 EXPORT(adam)(int population, int64_t n, float *parameters, const float *gradient, float *first, float *second,
              const float *step_sizes, float correction_1, float correction_2) {
   Adam adam = {first, second, step_sizes, correction_1, correction_2};
-  for (int64_t a = 0; a < population; a++) adam_agent(adam, a, n, parameters + a * n, gradient + a * n, gradient + a * n);
+  for (int64_t a = 0; a < population; a++) {
+    const float *g = gradient + a * n;
+    adam_agent(adam, a, n, parameters + a * n, g, a + 1 < population ? g + n : g);
+  }
 }
 
 EXPORT(polyak)(int population, int64_t n, float *target, const float *online, const float *weights) {

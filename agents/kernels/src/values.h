@@ -252,6 +252,29 @@ static void values(const Network &net, int population, int batch, int n, int sta
   }
 }
 
+// The highest of some whole lines of numbers, none of them NaN.
+INLINE float highest(const float *p, int count) {
+  Vector parts[LINE_VECTORS];
+  UNROLL for (int q = 0; q < LINE_VECTORS; q++) parts[q] = load(p + WIDTH * q);
+  for (int j = LINE; j < count; j += LINE)
+    UNROLL for (int q = 0; q < LINE_VECTORS; q++) parts[q] = (Vector)MAX(parts[q], load(p + j + WIDTH * q));
+  float m[LINE];
+  memcpy(m, parts, sizeof m);
+  UNROLL for (int n = LINE / 2; n > 0; n /= 2)
+    UNROLL for (int i = 0; i < n; i++) m[i] = m[i] > m[i + n] ? m[i] : m[i + n];
+  return m[0];
+}
+
+// The place of the first number that is x, which is among them, in lines of numbers.
+INLINE int first_of(float x, const float *p) {
+  for (int j = 0;; j += LINE) {
+    Mask same[LINE_VECTORS];
+    UNROLL for (int q = 0; q < LINE_VECTORS; q++) same[q] = (Mask)(load(p + j + WIDTH * q) == broadcast(x));
+    unsigned bits = bits_of_line(same);
+    if (bits) return j + __builtin_ctz(bits);
+  }
+}
+
 // The k actions [rows, k, size] of highest value among n [rows, n, size], best first; of equal ones the first. NaN and −∞ are
 // never best: where nothing else is left, the first action is taken. `left` has room for n floats, rounded up to a line.
 static void best_actions(int64_t rows, int n, int size, int k, const float *q, const float *actions, float *out, float *left) {
