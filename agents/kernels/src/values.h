@@ -284,8 +284,7 @@ static void best_actions(int64_t rows, int n, int size, int k, const float *q, c
   for (int64_t r = 0; r < rows; r++) {
     for (int i = 0; i < n; i++) left[i] = q[r * n + i] >= NONE ? q[r * n + i] : NONE;
     for (int j = 0; j < k; j++) {
-      float best = highest(left, padded);
-      int at = best > NONE ? first_of(best, left) : 0;
+      int at = first_of(highest(left, padded), left);
       left[at] = NONE;
       for (int c = 0; c < size; c++) out[(r * k + j) * size + c] = actions[(r * n + at) * size + c];
     }
