@@ -49,7 +49,7 @@ class Replay:
         self.rows = torch.zeros(population, capacity, self.width, device=device)
         self.num_added = 0
         self._clock = clock if clock is not None and clock.tensor is not None else None
-        self._native = kernels.library(device.type)
+        self._native = kernels.library(self.rows.device.type)
 
     def add(self, states: Tensor, actions: Tensor, rewards: Tensor, terminated: Tensor, next_states: Tensor) -> None:
         """Add one transition an agent: [P, S], [P, A], [P], [P] (bool), [P, S]; the oldest gives way when full."""
