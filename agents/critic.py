@@ -66,13 +66,12 @@ class Critic:
         With a double critic the losses add up. `moves_target`: what `update_target` does follows at once, while an agent's
         parameters are in the cache; without it, targets do not move.
         """
-        B = batch.rewards.shape[1]
         targets = batch.rewards + self.task.discount * batch.continues * next_values
         pairs = self._pairs(batch.states, batch.actions) if self._one_hot else batch.states_actions
         target = Follower(self.target.parameters, self._polyak) if moves_target else None
         # the mean of the squared error, not of its half as the thesis prints: with Adam the factor cancels but for ε
-        errors = self.online.regress(self._each(pairs), self._each(targets), self.optimizer, target)
-        return errors.square().view(-1, self.count * B).mean(dim=1) * self.count
+        losses = self.online.regress(self._each(pairs), self._each(targets), self.optimizer, target)
+        return losses if self.count == 1 else losses.view(-1, 2).sum(dim=1)
 
     def update_target(self) -> None:
         """θ_targ ← (1 − β)·θ_targ + β·θ."""

@@ -124,8 +124,8 @@ class PopulationMLP:
     def regress(self, x: Tensor, targets: Tensor, optimizer: "PopulationAdam", follower: Follower | None = None) -> Tensor:
         """Take a step of `optimizer`, which is that of these parameters, down the mean over the batch of Σ_o (f(x) − targets)².
 
-        f(x) are the outputs [P, B, out] for x [P, B, in], as targets [P, B, out]. Returns the errors f(x) − targets of before
-        the step. Then the follower's parameters move towards the new ones. Counts as a call of `forward_for_gradient`.
+        f(x) are the outputs [P, B, out] for x [P, B, in], as targets [P, B, out]. Returns the losses [P] of before the step.
+        Then the follower's parameters move towards the new ones. Counts as a call of `forward_for_gradient`.
         Raises ValueError for tensors of other shapes or types.
         """
         self._check(x, self.layout.inputs)

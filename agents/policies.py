@@ -15,6 +15,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from agents import kernels
+from agents.kernels.native_gaussian import MOST_TERMS, NativeGaussian
 from agents.spaces import Continuous
 
 _LOG_STD_LIMIT = math.log(1000)
@@ -33,27 +35,42 @@ class Gaussian:
         """Condition on outputs [P, B, 2A] of an actor network."""
         A = space.size
         self._bounds = _bounds(space, outputs.device)
-        self._tanh = torch.tanh(outputs[..., :A])
-        self._raw_log_std = outputs[..., A:]
-        self.mean = torch.addcmul(self._bounds.middle, self._tanh, self._bounds.half_range)
-        self.log_std = _clamped_log_std(self._raw_log_std)
-        self.std = torch.exp(self.log_std)
+        library = kernels.library(outputs.device.type) if _is_plain(outputs) else None
+        self._native: NativeGaussian | None = None
+        if library is not None:
+            outputs = outputs.contiguous()
+            native = self._native = NativeGaussian(library, outputs, self._bounds, _LOG_STD_LIMIT)
+            self._tanh, self.mean, self.log_std, self.std = native.tanh, native.mean, native.log_std, native.std
+        else:
+            self._tanh = torch.tanh(outputs[..., :A])
+            self.mean = torch.addcmul(self._bounds.middle, self._tanh, self._bounds.half_range)
+            self.log_std = _clamped_log_std(outputs[..., A:])
+            self.std = torch.exp(self.log_std)
+        self._outputs = outputs
 
     def sample(self, noise: Tensor) -> Tensor:
         """Return actions [P, B, N, A] within the bounds for standard normal noise of that shape."""
+        if self._native is not None:
+            return self._native.sample(noise, clamps=True)
         return self._bounds.clamp_(self.sample_unclamped(noise))
 
     def sample_unclamped(self, noise: Tensor) -> Tensor:
         """Return samples [P, B, N, A] of the normal distribution itself, which may lie outside the action range."""
+        if self._native is not None:
+            return self._native.sample(noise, clamps=False)
         return torch.addcmul(self.mean.unsqueeze(2), noise, self.std.unsqueeze(2))
 
     def log_prob(self, actions: Tensor) -> Tensor:
         """Return ln π [P, B, N] of actions [P, B, N, A]."""
+        if self._native is not None and actions.shape[3] <= MOST_TERMS:
+            return self._native.log_prob(actions)
         u = (actions - self.mean.unsqueeze(2)).div_(self.std.unsqueeze(2))
         return (u.square_().mul_(-0.5) - self.log_std.unsqueeze(2)).sub_(_HALF_LOG_2_PI).sum(-1)
 
     def log_prob_gradient(self, actions: Tensor, weights: Tensor | float) -> Tensor:
         """Return ∂/∂outputs of Σ_n w_n ln π(a_n) [P, B, 2A], for actions [P, B, N, A] and constant weights [P, B, N] (or one)."""
+        if self._native is not None and actions.shape[2] <= MOST_TERMS:
+            return self._native.log_prob_gradient(actions, weights)
         u = (actions - self.mean.unsqueeze(2)).div_(self.std.unsqueeze(2))
         weights = weights.unsqueeze(-1) if isinstance(weights, Tensor) else weights
         weighted = u * weights
@@ -76,7 +93,8 @@ class Gaussian:
 
     def _of_outputs(self, of_mean: Tensor, of_log_std: Tensor) -> Tensor:
         slope = self._bounds.half_range - self._tanh.square().mul_(self._bounds.half_range)
-        return torch.cat([of_mean * slope, of_log_std * _inside(self._raw_log_std)], dim=-1)
+        raw_log_std = self._outputs[..., self.mean.shape[-1] :]
+        return torch.cat([of_mean * slope, of_log_std * _inside(raw_log_std)], dim=-1)
 
 
 class SquashedGaussian:
@@ -176,6 +194,11 @@ class Softmax:
         return self.probs * (values - (self.probs * values).sum(dim=-1, keepdim=True))
 
 
+def _is_plain(outputs: Tensor) -> bool:
+    """Whether kernels can read these numbers, and nobody asks for the graph of what is computed from them."""
+    return outputs.dtype == torch.float32 and outputs.dim() == 3 and not outputs.requires_grad
+
+
 def _clamped_log_std(raw: Tensor) -> Tensor:
     return raw.clamp(-_LOG_STD_LIMIT, _LOG_STD_LIMIT)
 
@@ -185,7 +208,7 @@ def _inside(raw_log_std: Tensor) -> Tensor:
 
 
 @dataclass(frozen=True)
-class _Bounds:
+class Bounds:
     """The action range of a space: [A] each, and as one number where it is the same in all dimensions."""
 
     low: Tensor
@@ -200,7 +223,7 @@ class _Bounds:
 
 
 @functools.cache
-def _bounds(space: Continuous, device: torch.device) -> _Bounds:
+def _bounds(space: Continuous, device: torch.device) -> Bounds:
     low, high = torch.tensor(space.low, device=device), torch.tensor(space.high, device=device)
     ends = (space.low[0], space.high[0]) if len(set(space.low)) == len(set(space.high)) == 1 else None
-    return _Bounds(low, high, (high + low) / 2, (high - low) / 2, ends)
+    return Bounds(low, high, (high + low) / 2, (high - low) / 2, ends)

@@ -9,14 +9,14 @@ from typing import Any
 
 from agents.kernels.layout import Layout
 
-INTERFACE_VERSION = 2  # that of src/dispatch.cpp
+INTERFACE_VERSION = 3  # that of src/dispatch.cpp
 _INT, _LONG, _WORD, _FLOAT, _POINTER = ctypes.c_int, ctypes.c_int64, ctypes.c_uint32, ctypes.c_float, ctypes.c_void_p
 _ROWS = (_POINTER, _LONG, _LONG)  # data, floats from one agent to the next, from one row to the next
 _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "forward": (_POINTER, _INT, _INT, _POINTER, *_ROWS, _POINTER, _POINTER, _POINTER),
     "backward": (_POINTER, _INT, _INT, _POINTER, _POINTER, *_ROWS, _POINTER, _POINTER, _POINTER, _POINTER),
     "descend": (_POINTER, _INT, _INT, _POINTER, _POINTER, *_ROWS, *(_POINTER,) * 4, _FLOAT, _FLOAT, _POINTER),
-    "regress": (_POINTER, _INT, _INT, _POINTER, *_ROWS, _POINTER, _FLOAT, *(_POINTER,) * 3, _FLOAT, _FLOAT, *(_POINTER,) * 4),
+    "regress": (_POINTER, _INT, _INT, _POINTER, *_ROWS, *(_POINTER,) * 4, _FLOAT, _FLOAT, *(_POINTER,) * 4),
     "values": (_POINTER, _INT, _INT, _INT, _INT, _POINTER, *_ROWS, *_ROWS, _POINTER, _POINTER),
     "best_actions": (_LONG, _INT, _INT, _INT, _POINTER, _POINTER, _POINTER, _POINTER),
     "adam": (_INT, _LONG, *(_POINTER,) * 5, _FLOAT, _FLOAT),
@@ -25,6 +25,10 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "normals": (_INT, _POINTER, _WORD, _WORD, _LONG, _POINTER),
     "integers": (_INT, _POINTER, _WORD, _WORD, _LONG, _WORD, _LONG, _POINTER),
     "gather": (_LONG, _LONG, _POINTER, _POINTER, _POINTER),
+    "gaussian_condition": (_POINTER,),
+    "gaussian_sample": (_POINTER, _LONG, _POINTER, _LONG, _INT, _POINTER),
+    "gaussian_log_prob": (_POINTER, _LONG, _POINTER, _LONG, _POINTER),
+    "gaussian_log_prob_gradient": (_POINTER, _LONG, _POINTER, _LONG, _POINTER, _FLOAT, _POINTER),
 }
 
 
@@ -80,6 +84,10 @@ class Library:
     normals: Callable[..., None]
     integers: Callable[..., None]
     gather: Callable[..., None]
+    gaussian_condition: Callable[..., None]
+    gaussian_sample: Callable[..., None]
+    gaussian_log_prob: Callable[..., None]
+    gaussian_log_prob_gradient: Callable[..., None]
     scratch_size: Callable[[int, int], int]
 
     def __init__(self, path: Path, loaded: ctypes.CDLL, variant: str, compiled: tuple[str, ...]) -> None:

@@ -130,7 +130,7 @@ class NativeArithmetic:
     def regress(self, x: Tensor, targets: Tensor, optimizer: "PopulationAdam", follower: Follower | None) -> Tensor:
         P, B, _ = x.shape
         rates = None if follower is None else _rates(follower.parameters, self._parameters, follower.rates)
-        x, targets, errors = _dense(x), targets.contiguous(), torch.empty(targets.shape)
+        x, targets, losses = _dense(x), targets.contiguous(), torch.empty(P)
         correction_1, correction_2 = optimizer.next_corrections()
         self._library.regress(
             self._shape.pointer,
@@ -141,7 +141,6 @@ class NativeArithmetic:
             x.stride(0),
             x.stride(1),
             targets.data_ptr(),
-            2 / B,
             optimizer.first_moment.data_ptr(),
             optimizer.second_moment.data_ptr(),
             optimizer.step_sizes.data_ptr(),
@@ -149,10 +148,10 @@ class NativeArithmetic:
             correction_2,
             None if follower is None else follower.parameters.data_ptr(),
             None if rates is None else rates.data_ptr(),
-            errors.data_ptr(),
+            losses.data_ptr(),
             self._scratch(B),
         )
-        return errors
+        return losses
 
     def values_of_actions(self, states: Tensor, actions: Tensor) -> Tensor:
         P, B, N, A = actions.shape

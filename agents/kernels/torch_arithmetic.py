@@ -100,7 +100,7 @@ class TorchArithmetic:
         self.descend(kept, errors * (2 / x.shape[1]), optimizer)
         if follower is not None:
             polyak_average_(follower.parameters, self._parameters, follower.rates)
-        return errors
+        return errors.square().flatten(1).sum(dim=1) / x.shape[1]
 
     def values_of_actions(self, states: Tensor, actions: Tensor) -> Tensor:
         P, B, N, A = actions.shape

@@ -62,12 +62,13 @@ def test_regress_equals_torch_optim_on_the_mean_squared_error_and_an_average_of_
     averages = [[x.detach().clone() for x in twin.parameters()] for twin in twins]
     for _ in range(4):
         x, y = torch.randn(P, B, 4, generator=generator), torch.randn(P, B, 1, generator=generator)
-        errors = network.regress(x, y, optimizer, follower)
+        losses = network.regress(x, y, optimizer, follower)
         for p, twin in enumerate(twins):
             values = twin(x[p])
-            torch.testing.assert_close(errors[p], values.detach() - y[p], rtol=1e-4, atol=1e-5)
             theirs[p].zero_grad()
-            nn.functional.mse_loss(values, y[p]).backward()
+            loss = nn.functional.mse_loss(values, y[p])
+            torch.testing.assert_close(losses[p], loss.detach(), rtol=1e-4, atol=1e-5)
+            loss.backward()
             theirs[p].step()
             for average, now in zip(averages[p], twin.parameters(), strict=True):
                 average.lerp_(now.detach(), rates[p])

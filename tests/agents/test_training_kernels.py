@@ -44,7 +44,7 @@ def test_descend_is_backward_and_a_step_of_adam_bit_for_bit(engine, inputs, hidd
 @pytest.mark.parametrize("follows", [False, True])
 @pytest.mark.parametrize(("inputs", "hidden", "outputs", "batch"), SHAPES)
 def test_regress_is_a_forward_pass_descend_and_polyak_averaging_bit_for_bit(engine, inputs, hidden, outputs, batch, follows):
-    results = []
+    results, losses = [], []
     for fused in (True, False):
         made, generator = network(inputs, hidden, (outputs,))
         optimizer = PopulationAdam(made.parameters, torch.tensor([1e-1, 1e-3, 1e-5]))
@@ -58,12 +58,15 @@ def test_regress_is_a_forward_pass_descend_and_polyak_averaging_bit_for_bit(engi
                 seen.append(made.regress(x, y, optimizer, Follower(target, rates) if follows else None))
                 continue
             values, kept = made.forward_for_gradient(x)
-            seen.append(values - y)
-            made.descend(kept, seen[-1] * (2 / batch), optimizer)
+            errors = values - y
+            seen.append(errors.square().sum(dim=(1, 2)) / batch)
+            made.descend(kept, errors * (2 / batch), optimizer)
             if follows:
                 polyak_average_(target, made.parameters, rates)
-        results.append((made.parameters, optimizer.first_moment, optimizer.second_moment, target, *seen))
+        results.append((made.parameters, optimizer.first_moment, optimizer.second_moment, target))
+        losses.append(torch.stack(seen))
     assert all(torch.equal(a, b) for a, b in zip(*results, strict=True))
+    torch.testing.assert_close(*losses)
     made, _ = network(inputs, hidden, (outputs,))
     assert not torch.equal(made.parameters, results[0][0])
 

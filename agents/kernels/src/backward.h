@@ -134,16 +134,17 @@ struct Follower {
 
 // Floats of scratch memory for `descend` and `regress`: a gradient, an agent's activations and outputs, and the backward pass's.
 INLINE int64_t training_scratch(const Network &net, int64_t batch) {
-  return net.size + activations_size(net, batch) + backward_scratch(net, batch) + batch * net.outputs;
+  return net.size + activations_size(net, batch) + backward_scratch(net, batch) + 2 * batch * net.outputs;
 }
 
-// A step of Adam down the sum over the batch of scale/2 · (outputs − targets)², then one of the follower; `errors` are outputs −
-// targets, as targets [population, batch, outputs]. All passes of an agent, one after another: its activations stay in the cache.
-static void regress(const Network &net, int population, int batch, float *parameters, Rows x, const float *targets, float scale,
-                    Adam adam, Follower follower, float *errors, float *scratch) {
+// A step of Adam down the losses [population], the mean over the batch of Σ (outputs − targets)² for targets [population, batch,
+// outputs], then one of the follower. All passes of an agent, one after another: its activations stay in the cache.
+static void regress(const Network &net, int population, int batch, float *parameters, Rows x, const float *targets, Adam adam,
+                    Follower follower, float *losses, float *scratch) {
   float *g = scratch, *kept = g + net.size, *rest = kept + activations_size(net, batch);
-  float *dy = rest + backward_scratch(net, batch);
-  int count = batch * net.outputs;
+  float *y = rest + backward_scratch(net, batch), *dy = y + (int64_t)batch * net.outputs;
+  int64_t count = (int64_t)batch * net.outputs;
+  float scale = (float)(2.0 / batch);
   memset(g, 0, sizeof(float) * net.size);
   for (int64_t a = 0; a < population; a++) {
     float *p = parameters + a * net.size, *follows = follower.parameters ? follower.parameters + a * net.size : nullptr;
@@ -152,12 +153,14 @@ static void regress(const Network &net, int population, int batch, float *parame
     ahead.add(adam.first + a * net.size, net.size);
     ahead.add(adam.second + a * net.size, net.size);
     ahead.add(follows, net.size);
-    float *e = errors + a * count;
-    forward_agent(net, p, inputs, x.row, batch, e, kept, ahead);
-    for (int i = 0; i < count; i++) {
-      e[i] -= targets[a * count + i];
-      dy[i] = e[i] * scale;
+    forward_agent(net, p, inputs, x.row, batch, y, kept, ahead);
+    float sum = 0;
+    for (int64_t i = 0; i < count; i++) {
+      float error = y[i] - targets[a * count + i];
+      sum += error * error;
+      dy[i] = error * scale;
     }
+    losses[a] = sum / batch;
     backward_agent(net, p, kept, inputs, x.row, dy, batch, g, nullptr, rest, ahead);
     adam_agent(adam, a, net.size, p, g, a + 1 < population ? p + net.size : p);
     if (follows) polyak_agent(net.size, follows, p, follower.rates[a]);

@@ -4,7 +4,7 @@
 
 // Raised with every change of a signature or a structure, here and in agents/kernels/native.py: a library left over from an
 // older installation is not used.
-extern "C" __attribute__((visibility("default"))) int interface_version() { return 2; }
+extern "C" __attribute__((visibility("default"))) int interface_version() { return 3; }
 
 // The name of the best variant, or an empty text when this processor has none of their instruction sets.
 OFFER best_variant() {

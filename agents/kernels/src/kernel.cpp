@@ -1,6 +1,7 @@
 // One variant of the native engine: compiled once for each instruction set, with its name in VARIANT (setup.py).
 #include "backward.h"
 #include "gather.h"
+#include "gaussian.h"
 #include "random.h"
 #include "values.h"
 
@@ -31,10 +32,10 @@ EXPORT(descend)(const Network *net, int population, int batch, float *parameters
 }
 
 EXPORT(regress)(const Network *net, int population, int batch, float *parameters, const float *x, int64_t x_agent, int64_t x_row,
-                const float *targets, float scale, float *first, float *second, const float *step_sizes, float correction_1,
-                float correction_2, float *follower, const float *rates, float *errors, float *scratch) {
-  regress(*net, population, batch, parameters, {x, x_agent, x_row}, targets, scale,
-          {first, second, step_sizes, correction_1, correction_2}, {follower, rates}, errors, scratch);
+                const float *targets, float *first, float *second, const float *step_sizes, float correction_1,
+                float correction_2, float *follower, const float *rates, float *losses, float *scratch) {
+  regress(*net, population, batch, parameters, {x, x_agent, x_row}, targets,
+          {first, second, step_sizes, correction_1, correction_2}, {follower, rates}, losses, scratch);
 }
 
 EXPORT(values)(const Network *net, int population, int batch, int n, int state_size, const float *parameters, const float *states,
@@ -76,4 +77,19 @@ EXPORT(integers)(int population, const int64_t *seeds, uint32_t purpose, uint32_
 
 EXPORT(gather)(int64_t count, int64_t width, const float *rows, const int64_t *indices, float *out) {
   gather(count, width, rows, indices, out);
+}
+
+EXPORT(gaussian_condition)(const Gaussian *policy) { gaussian_condition(*policy); }
+
+EXPORT(gaussian_sample)(const Gaussian *policy, int64_t n, const float *noise, int64_t noise_row, int clamps, float *out) {
+  gaussian_sample(*policy, n, {noise, noise_row}, clamps, out);
+}
+
+EXPORT(gaussian_log_prob)(const Gaussian *policy, int64_t n, const float *actions, int64_t actions_row, float *out) {
+  gaussian_log_prob(*policy, n, {actions, actions_row}, out);
+}
+
+EXPORT(gaussian_log_prob_gradient)(const Gaussian *policy, int64_t n, const float *actions, int64_t actions_row,
+                                   const float *weights, float weight, float *out) {
+  gaussian_log_prob_gradient(*policy, n, {actions, actions_row}, weights, weight, out);
 }
