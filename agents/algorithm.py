@@ -24,8 +24,8 @@ class Algorithm(Protocol):
     """P agents that act and learn in lock-step. Every number must depend on one agent only.
 
     A class may declare `capturable = True`: its `act` and `update` are the same tensor operations at every step from the first
-    update on, use `step` for drawing random numbers only, never read a tensor's value in Python, and change in place what
-    lasts. On a GPU they are then recorded once, as a CUDA graph.
+    update on, use `step` for drawing random numbers only, never read a tensor's value in Python, change in place what lasts, and
+    do not need autograd. On a GPU they are then recorded once, as a CUDA graph; on a CPU they run in PyTorch's inference mode.
     """
 
     def __init__(self, population: Population, task: Task, stream: RandomStream) -> None: ...

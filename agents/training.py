@@ -108,6 +108,7 @@ class Run:
         population = padded(hypers, seeds, torch.device(device))
         cutoff = cutoff or known.cutoff
         self.steps, self._num_agents, self._tf32 = steps, len(hypers), tf32
+        self._inference = population.device.type == "cpu" and _is_capturable(entry)
         with self._conditions():
             self._lockstep = _make(entry, known, known.make(len(population)), population, steps, cutoff, discount)
             self._evaluator: Evaluator | None = None
@@ -187,12 +188,19 @@ class Run:
 
     @contextmanager
     def _conditions(self) -> Iterator[None]:
-        with torch.no_grad(), _denormals_flushed(), _matrix_precision(self._tf32):
+        # every call of PyTorch costs less in inference mode, but what is computed there is lost to autograd for good
+        without_gradients = torch.inference_mode() if self._inference else torch.no_grad()
+        with without_gradients, _denormals_flushed(), _matrix_precision(self._tf32):
             yield
 
 
 def _digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _is_capturable(entry: AlgorithmEntry) -> bool:
+    """Whether the algorithm says so: `agents.algorithm`. A subclass of one that does has to say so itself."""
+    return bool(vars(entry.load()).get("capturable", False))
 
 
 def _make(
@@ -206,15 +214,12 @@ def _make(
 ) -> LockStep:
     """Put together what a population needs to train: its agents, its replay buffers, its recorder."""
     device, stream = population.device, population.stream()
-    algorithm = entry.load()
     # An environment that keeps its own state is Python: it cannot be captured, nor can an algorithm that does not say it can.
-    # Nor can a subclass of one that can, unless it says so itself.
-    capturable = not known.keeps_state and vars(algorithm).get("capturable", False)
-    counts_on_device = capturable and kernels.library(device.type) is None
+    counts_on_device = not known.keeps_state and _is_capturable(entry) and kernels.library(device.type) is None
     clock = Clock(device if counts_on_device else None)
     task = Task(world.observation_size, world.actions, discount)
     capacity = min(population.shared.replay_capacity, steps)
-    agents = algorithm(population, task, stream)
+    agents = entry.load()(population, task, stream)
     stream.follow(clock)  # from now on: what is drawn once, such as initial weights, is not drawn for every step
     return LockStep(
         agents,
