@@ -14,7 +14,7 @@ from cluster import machine
 from cluster.worker import device_of  # and with it whatever a worker loads: a shard's memory begins above that
 from sweep.calibration import COMMIT_BYTES
 
-_MEASURED_SECONDS = 0.2
+_MEASURED_SECONDS = 0.4
 _PATIENCE_SECONDS = 2.0
 _MIN_STEPS = 2
 #: Learning steps before the clock starts: buffers are allocated, caches fill; on a GPU, the step is captured.

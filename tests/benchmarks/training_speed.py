@@ -119,7 +119,7 @@ def plain_rate(algorithm, environment, hypers, seconds):
 
 def population_rate(algorithm, environment, hypers, population, seconds):
     """Agent-steps a second of a population."""
-    with torch.no_grad(), _denormals_flushed():
+    with torch.inference_mode(), _denormals_flushed():  # as `agents.training.Run` has it for these algorithms
         return rate(PopulationLoop(algorithm, environment, hypers, population), population, seconds)
 
 

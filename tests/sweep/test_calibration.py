@@ -18,10 +18,10 @@ def trial(steps=100_000, capacity=100_000):
     return Trial("SAC", "Pendulum-CA", SACHypers(replay_capacity=capacity), 0, steps, 1_000, 0.99)
 
 
-def test_the_smallest_population_within_three_per_cent_of_the_fastest_is_the_best():
-    assert MEASURED.best_population == 64  # 4,600 ≥ 0.97 × 4,700 = 4,559
-    assert replace(MEASURED, rates={16: 3_200.0, 64: 4_550.0, 128: 4_700.0}).best_population == 128
-    assert replace(MEASURED, rates={16: 4_700.0, 64: 4_600.0, 128: 3_000.0}).best_population == 16
+def test_the_smallest_population_within_one_per_cent_of_the_fastest_is_the_best():
+    assert MEASURED.best_population == 128  # 4,600 < 0.99 × 4,700 = 4,653
+    assert replace(MEASURED, rates={16: 3_200.0, 64: 4_660.0, 128: 4_700.0}).best_population == 64
+    assert replace(MEASURED, rates={16: 4_700.0, 64: 4_700.0, 128: 3_000.0}).best_population == 16
 
 
 def test_between_sizes_the_time_of_a_lock_step_is_linear():
@@ -57,7 +57,7 @@ def test_the_largest_population_within_a_budget_fits_and_the_next_does_not(budge
 
 
 def test_populations_are_as_large_as_is_fast_and_fits():
-    assert MEASURED.size([trial()], None).population == 64
+    assert MEASURED.size([trial()], None).population == 128
     assert MEASURED.size([trial()], 2**40) == MEASURED.size([trial()], None)
     cramped = MEASURED.size([trial(), trial(10)], 680 * MB)
     assert 50 < cramped.population < 64
