@@ -224,6 +224,7 @@ class Bounds:
 
 @functools.cache
 def _bounds(space: Continuous, device: torch.device) -> Bounds:
-    low, high = torch.tensor(space.low, device=device), torch.tensor(space.high, device=device)
-    ends = (space.low[0], space.high[0]) if len(set(space.low)) == len(set(space.high)) == 1 else None
-    return Bounds(low, high, (high + low) / 2, (high - low) / 2, ends)
+    with torch.inference_mode(False):  # they serve algorithms with autograd, too
+        low, high = torch.tensor(space.low, device=device), torch.tensor(space.high, device=device)
+        ends = (space.low[0], space.high[0]) if len(set(space.low)) == len(set(space.high)) == 1 else None
+        return Bounds(low, high, (high + low) / 2, (high - low) / 2, ends)

@@ -108,7 +108,7 @@ class Run:
         population = padded(hypers, seeds, torch.device(device))
         cutoff = cutoff or known.cutoff
         self.steps, self._num_agents, self._tf32 = steps, len(hypers), tf32
-        self._inference = population.device.type == "cpu" and _is_capturable(entry)
+        self._inference = population.device.type == "cpu" and _is_capturable(entry, known)
         with self._conditions():
             self._lockstep = _make(entry, known, known.make(len(population)), population, steps, cutoff, discount)
             self._evaluator: Evaluator | None = None
@@ -198,9 +198,13 @@ def _digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def _is_capturable(entry: AlgorithmEntry) -> bool:
-    """Whether the algorithm says so: `agents.algorithm`. A subclass of one that does has to say so itself."""
-    return bool(vars(entry.load()).get("capturable", False))
+def _is_capturable(entry: AlgorithmEntry, known: EnvironmentEntry) -> bool:
+    """Whether a lock-step is tensor operations only, and free of autograd.
+
+    An algorithm says so itself (`agents.algorithm`); a subclass of one that does, for itself. An environment that keeps its own
+    state is Python, with whatever it uses.
+    """
+    return not known.keeps_state and bool(vars(entry.load()).get("capturable", False))
 
 
 def _make(
@@ -214,8 +218,7 @@ def _make(
 ) -> LockStep:
     """Put together what a population needs to train: its agents, its replay buffers, its recorder."""
     device, stream = population.device, population.stream()
-    # An environment that keeps its own state is Python: it cannot be captured, nor can an algorithm that does not say it can.
-    counts_on_device = not known.keeps_state and _is_capturable(entry) and kernels.library(device.type) is None
+    counts_on_device = _is_capturable(entry, known) and kernels.library(device.type) is None
     clock = Clock(device if counts_on_device else None)
     task = Task(world.observation_size, world.actions, discount)
     capacity = min(population.shared.replay_capacity, steps)

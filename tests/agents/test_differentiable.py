@@ -67,3 +67,5 @@ def test_an_algorithm_may_learn_by_autograd_inside_the_training_loop(monkeypatch
         assert not torch.equal(trained[-1], start)
     torch.testing.assert_close(*trained, rtol=1e-4, atol=1e-6)
     assert modes == [False] * 3 + [True] * 3
+    Run("GreedyAC", "CartPole-v1", [GreedyACHypers(batch_size=4)] * 2, [0, 1], steps=4).advance(4)
+    assert modes[-1] is False  # an environment of one's own may learn something by autograd, too

@@ -8,7 +8,7 @@ from kernel_networks import variants
 
 from agents import kernels
 from agents.kernels import native
-from agents.policies import Gaussian
+from agents.policies import Gaussian, SquashedGaussian
 from agents.spaces import Continuous
 
 pytestmark = pytest.mark.skipif(not native.library_file().exists(), reason="no native kernels here")
@@ -94,10 +94,22 @@ def test_what_a_kernel_would_misread_is_refused(variant):
         policy.log_prob_gradient(torch.zeros(P, B, 3, 2), torch.zeros(P, B, 2))
 
 
-def test_gradients_of_a_users_own_are_left_to_autograd(variant):
-    """An algorithm may differentiate through a policy's samples, with `agents.differentiable`."""
-    outputs, noise = torch.zeros(P, B, 2), torch.ones(P, B, 1, 1)
+@pytest.mark.parametrize("policy", [Gaussian, SquashedGaussian])
+def test_gradients_of_a_users_own_are_left_to_autograd(variant, policy):
+    """An algorithm may differentiate through a policy's samples, with `agents.differentiable`.
+
+    So it may after others were trained in this process, in inference mode: what they made is no good for autograd.
+    """
+    space, noise = Continuous((-9.0,), (9.125,)), torch.ones(P, B, 1)
+    with kernels.using(variant), torch.inference_mode():
+        policy(space, torch.zeros(P, B, 2))
+    outputs = torch.zeros(P, B, 2, requires_grad=True)
     with kernels.using(variant):
-        outputs.requires_grad_()
-        Gaussian(Continuous((-9.0,), (9.0,)), outputs).sample(noise).sum().backward()
-    torch.testing.assert_close(outputs.grad, torch.tensor([9.0, 1.0]).expand(P, B, 2))
+        sample = policy(space, outputs).sample(noise if policy is SquashedGaussian else noise.unsqueeze(2))
+    actions = sample.actions if policy is SquashedGaussian else sample
+    actions.sum().backward()
+    # a = middle + half·tanh m + σ·ε, or middle + half·tanh(m + σ·ε), at m = 0, ln σ = 0 and ε = 1
+    half = 9.0625
+    slope = half * (1 - math.tanh(1) ** 2)
+    expected = [slope, slope] if policy is SquashedGaussian else [half, 1.0]
+    torch.testing.assert_close(outputs.grad, torch.tensor(expected).expand(P, B, 2))
