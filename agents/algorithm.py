@@ -25,7 +25,8 @@ class Algorithm(Protocol):
 
     A class may declare `capturable = True`: its `act` and `update` are the same tensor operations at every step from the first
     update on, use `step` for drawing random numbers only, never read a tensor's value in Python, change in place what lasts, and
-    do not need autograd. On a GPU they are then recorded once, as a CUDA graph; on a CPU they run in PyTorch's inference mode.
+    do not need autograd. But in an environment of Gymnasium's, they are then recorded once, as a CUDA graph, on a GPU, and run
+    in PyTorch's inference mode on a CPU.
     """
 
     def __init__(self, population: Population, task: Task, stream: RandomStream) -> None: ...

@@ -89,13 +89,13 @@ class LockStep:
         self.healthy &= actions.isfinite().all(dim=1)
         actions = torch.where(self.healthy[:, None], actions, self._standstill)
         transition = self.world.step(self.states, actions)
-        numbers = transition.rewards
+        outcomes = transition.rewards
         next_observations = self.world.observe(transition.states)
         self.replay.add(self.observations, actions, transition.rewards, transition.terminated, next_observations)
         if learns:
             batch = self.replay.sample(self.stream, step, self.batch_size)
-            numbers = numbers + self.agents.update(batch, step)  # finite, in float64, if both are
-        self.healthy &= numbers.isfinite()
+            outcomes = outcomes + self.agents.update(batch, step)  # finite, in float64, if both are
+        self.healthy &= outcomes.isfinite()
         self.elapsed += 1
         truncated = self.elapsed >= self.cutoff
         if transition.truncated is not None:

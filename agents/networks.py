@@ -130,7 +130,7 @@ class PopulationMLP:
         """
         self._check(x, self.layout.inputs)
         self._check(targets, self.layout.outputs)
-        if targets.shape[1] != x.shape[1]:
+        if targets.shape[1] != x.shape[1] or x.shape[1] == 0:
             raise ValueError(f"targets {tuple(targets.shape)} for inputs {tuple(x.shape)}")
         return self._arithmetic.regress(x, targets, optimizer, follower)
 

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from agents import kernels
-from agents.kernels.native_gaussian import MOST_TERMS, NativeGaussian
+from agents.kernels.native_gaussian import MOST_TERMS, NativeGaussian, is_plain
 from agents.spaces import Continuous
 
 _LOG_STD_LIMIT = math.log(1000)
@@ -31,45 +31,65 @@ class Gaussian:
     thesis' author uses for GreedyAC and VanillaAC.
     """
 
+    not_in_checkpoints = ("_native",)  # it points at what is
+
     def __init__(self, space: Continuous, outputs: Tensor) -> None:
-        """Condition on outputs [P, B, 2A] of an actor network."""
+        """Condition on outputs [P, B, 2A] of an actor network. Raises ValueError for outputs of another width."""
         A = space.size
-        self._bounds = _bounds(space, outputs.device)
-        library = kernels.library(outputs.device.type) if _is_plain(outputs) else None
+        if outputs.shape[-1] != 2 * A:
+            raise ValueError(f"outputs {tuple(outputs.shape)} for {A} action dimensions: must be [P, B, {2 * A}]")
+        bounds = self._bounds = _bounds(space, outputs.device)
+        library = kernels.library(outputs.device.type) if outputs.dim() == 3 and is_plain(outputs) else None
         self._native: NativeGaussian | None = None
         if library is not None:
-            outputs = outputs.contiguous()
-            native = self._native = NativeGaussian(library, outputs, self._bounds, _LOG_STD_LIMIT)
-            self._tanh, self.mean, self.log_std, self.std = native.tanh, native.mean, native.log_std, native.std
+            self._outputs = outputs.contiguous()
+            ends = (bounds.low, bounds.high, bounds.middle, bounds.half_range)
+            native = self._native = NativeGaussian(library, self._outputs, ends, _LOG_STD_LIMIT)
+            self._tanh, self._mean, self._log_std, self._std = native.tanh, native.mean, native.log_std, native.std
         else:
+            self._outputs = outputs
             self._tanh = torch.tanh(outputs[..., :A])
-            self.mean = torch.addcmul(self._bounds.middle, self._tanh, self._bounds.half_range)
-            self.log_std = _clamped_log_std(outputs[..., A:])
-            self.std = torch.exp(self.log_std)
-        self._outputs = outputs
+            self._mean = torch.addcmul(bounds.middle, self._tanh, bounds.half_range)
+            self._log_std = _clamped_log_std(outputs[..., A:])
+            self._std = torch.exp(self._log_std)
+
+    @property
+    def mean(self) -> Tensor:
+        """μ [P, B, A]."""
+        return self._mean
+
+    @property
+    def log_std(self) -> Tensor:
+        """ln σ [P, B, A]."""
+        return self._log_std
+
+    @property
+    def std(self) -> Tensor:
+        """σ [P, B, A]."""
+        return self._std
 
     def sample(self, noise: Tensor) -> Tensor:
         """Return actions [P, B, N, A] within the bounds for standard normal noise of that shape."""
-        if self._native is not None:
+        if self._native is not None and self._native.reads(noise):
             return self._native.sample(noise, clamps=True)
         return self._bounds.clamp_(self.sample_unclamped(noise))
 
     def sample_unclamped(self, noise: Tensor) -> Tensor:
         """Return samples [P, B, N, A] of the normal distribution itself, which may lie outside the action range."""
-        if self._native is not None:
+        if self._native is not None and self._native.reads(noise):
             return self._native.sample(noise, clamps=False)
         return torch.addcmul(self.mean.unsqueeze(2), noise, self.std.unsqueeze(2))
 
     def log_prob(self, actions: Tensor) -> Tensor:
         """Return ln π [P, B, N] of actions [P, B, N, A]."""
-        if self._native is not None and actions.shape[3] <= MOST_TERMS:
+        if self._native is not None and actions.shape[3] <= MOST_TERMS and self._native.reads(actions):
             return self._native.log_prob(actions)
         u = (actions - self.mean.unsqueeze(2)).div_(self.std.unsqueeze(2))
         return (u.square_().mul_(-0.5) - self.log_std.unsqueeze(2)).sub_(_HALF_LOG_2_PI).sum(-1)
 
     def log_prob_gradient(self, actions: Tensor, weights: Tensor | float) -> Tensor:
         """Return ∂/∂outputs of Σ_n w_n ln π(a_n) [P, B, 2A], for actions [P, B, N, A] and constant weights [P, B, N] (or one)."""
-        if self._native is not None and actions.shape[2] <= MOST_TERMS:
+        if self._native is not None and actions.shape[2] <= MOST_TERMS and self._native.reads(actions, weights):
             return self._native.log_prob_gradient(actions, weights)
         u = (actions - self.mean.unsqueeze(2)).div_(self.std.unsqueeze(2))
         weights = weights.unsqueeze(-1) if isinstance(weights, Tensor) else weights
@@ -93,7 +113,7 @@ class Gaussian:
 
     def _of_outputs(self, of_mean: Tensor, of_log_std: Tensor) -> Tensor:
         slope = self._bounds.half_range - self._tanh.square().mul_(self._bounds.half_range)
-        raw_log_std = self._outputs[..., self.mean.shape[-1] :]
+        raw_log_std = self._outputs[..., self._tanh.shape[-1] :]
         return torch.cat([of_mean * slope, of_log_std * _inside(raw_log_std)], dim=-1)
 
 
@@ -194,11 +214,6 @@ class Softmax:
         return self.probs * (values - (self.probs * values).sum(dim=-1, keepdim=True))
 
 
-def _is_plain(outputs: Tensor) -> bool:
-    """Whether kernels can read these numbers, and nobody asks for the graph of what is computed from them."""
-    return outputs.dtype == torch.float32 and outputs.dim() == 3 and not outputs.requires_grad
-
-
 def _clamped_log_std(raw: Tensor) -> Tensor:
     return raw.clamp(-_LOG_STD_LIMIT, _LOG_STD_LIMIT)
 
@@ -208,7 +223,7 @@ def _inside(raw_log_std: Tensor) -> Tensor:
 
 
 @dataclass(frozen=True)
-class Bounds:
+class _Bounds:
     """The action range of a space: [A] each, and as one number where it is the same in all dimensions."""
 
     low: Tensor
@@ -223,8 +238,8 @@ class Bounds:
 
 
 @functools.cache
-def _bounds(space: Continuous, device: torch.device) -> Bounds:
+def _bounds(space: Continuous, device: torch.device) -> _Bounds:
     with torch.inference_mode(False):  # they serve algorithms with autograd, too
-        low, high = torch.tensor(space.low, device=device), torch.tensor(space.high, device=device)
+        low, high = (torch.tensor(end, dtype=torch.float32, device=device) for end in (space.low, space.high))
         ends = (space.low[0], space.high[0]) if len(set(space.low)) == len(set(space.high)) == 1 else None
-        return Bounds(low, high, (high + low) / 2, (high - low) / 2, ends)
+        return _Bounds(low, high, (high + low) / 2, (high - low) / 2, ends)

@@ -44,7 +44,8 @@ def train(
 
     The result of an agent depends on its own hyperparameters and seed only, bit for bit on one machine, not on who is trained
     beside it. One update follows every step from the `batch_size`-th on; returns are those of the learning policy.
-    `cutoff` truncates episodes (default: the environment's own); `on_step` is called after each step with its number.
+    `cutoff` truncates episodes (default: the environment's own); `on_step` is called after each step with its number, where
+    autograd is off.
     `tf32` lets a GPU round the operands of matrix products to 10 bits of mantissa: faster, and other numbers.
     `evaluation` asks for deterministic episodes beside the learning, which does not change by them.
 
@@ -158,7 +159,7 @@ class Run:
         The arrays are living memory, not copies: save or copy them before the next step. Raises CheckpointError where something
         cannot be saved, such as a generator that an algorithm keeps (`agents.checkpoint`).
         """
-        with torch.no_grad():
+        with self._conditions():
             return {"arguments": json.dumps(self._arguments), "step": self.step, **checkpoint.collect(self._lasting())}
 
     def restore(self, state: Mapping[str, checkpoint.Value]) -> None:

@@ -19,7 +19,7 @@ _PATIENCE_SECONDS = 2.0
 _MIN_STEPS = 2
 #: Learning steps before the clock starts: buffers are allocated, caches fill; on a GPU, the step is captured.
 WARM_UP_STEPS = 5
-_LONGEST = 2_000  # steps after the warm-up: more are never needed
+_LONGEST = 2_000  # steps after the warm-up, if they take less than the time to be measured
 _FLOAT_BYTES = 4
 _GPU_CONTEXT_BYTES = 600 * 2**20
 

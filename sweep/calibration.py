@@ -13,8 +13,8 @@ from agents.registry import find_algorithm
 from sweep.shards import DEFAULT_POPULATION, NOMINAL_AGENT_STEPS_PER_SECOND, Size
 from sweep.trials import Trial
 
-#: The smallest population that is within this share of the fastest is chosen, as it needs less memory. More than what a pilot can
-#: tell apart would be a loss: memory is bounded, and slots are kept busy, by rules of their own.
+#: The smallest population that is within this share of the fastest is chosen, as it needs less memory. A larger share would be a
+#: loss of speed for nothing: memory is bounded, and slots are kept busy, by rules of their own.
 TOLERANCE = 0.01
 #: Of the memory that is available, what the shards that run at once may take.
 MEMORY_SHARE = 0.8

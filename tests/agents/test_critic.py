@@ -54,3 +54,16 @@ def test_learning_moves_the_target_as_update_target_does_and_only_when_asked_to(
         assert torch.equal(one.target.parameters, other.target.parameters)
     fully = other.target.parameters.view(P, -1)[2]
     torch.testing.assert_close(fully, other.online.parameters.view(P, -1)[2], rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.usefixtures("engine")
+@pytest.mark.parametrize("double", [False, True])
+def test_the_loss_is_the_mean_squared_error_of_each_critic_added_up(double):
+    made, batch = critic(Continuous((-1.0,), (2.0,)), double), random_batch(0)
+    count = 2 if double else 1
+    pairs = batch.states_actions.repeat_interleave(count, dim=0)
+    values = made.online.forward(pairs).clone().double().view(P, count, B)
+    targets = (batch.rewards + 0.9 * batch.rewards.flip(1)).double().view(P, 1, B)
+    expected = ((values - targets) ** 2).mean(dim=2).sum(dim=1)
+    loss = made.learn(batch, batch.rewards.flip(1))
+    torch.testing.assert_close(loss.double(), expected, rtol=1e-5, atol=0)

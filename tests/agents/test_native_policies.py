@@ -2,11 +2,12 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
 from kernel_networks import variants
 
-from agents import kernels
+from agents import checkpoint, kernels
 from agents.kernels import native
 from agents.policies import Gaussian, SquashedGaussian
 from agents.spaces import Continuous
@@ -27,8 +28,8 @@ def action_space(size, one_range):
 
 
 def outputs_of(size, seed=0):
-    """Some of them lie outside the range of ln σ, and one is not a number."""
-    outputs = torch.randn(P, B, 2 * size, generator=torch.Generator().manual_seed(seed)) * 2
+    """A view. Some of them lie outside the range of ln σ, and one is not a number."""
+    outputs = (torch.randn(P, B, 2 * size + 1, generator=torch.Generator().manual_seed(seed)) * 2)[..., 1:]
     outputs[0, :3, size:] = torch.tensor([9.0, -9.0, math.log(1000)])[:, None]
     outputs[1, 1, -1] = torch.nan
     return outputs
@@ -61,6 +62,11 @@ def test_samples_densities_and_gradients_are_pytorchs_bit_for_bit(variant, size,
                 policy.log_prob_gradient(actions, 1 / 3),
                 policy.log_prob_gradient(first, weights[:, :, -1:]),
                 policy.log_prob_gradient(actions.transpose(0, 1).contiguous().transpose(0, 1), weights),
+                policy.sample(noise[:, :, ::2]),
+                policy.sample(noise[:, :, : max(1, count - 1)]),
+                policy.log_prob(noise.transpose(2, 3).contiguous().transpose(2, 3)),
+                policy.log_prob_gradient(actions, weights[:, :, :1]),  # one for all samples of a state
+                policy.log_prob(actions.double()).float(),
                 *(policy.entropy_gradient(estimate, first) for estimate in ("sampled", "analytic", "score")),
             ]
         )
@@ -74,24 +80,60 @@ def test_samples_densities_and_gradients_are_pytorchs_bit_for_bit(variant, size,
 
 def test_the_kernels_do_what_is_asked_of_them(variant, monkeypatch):
     """Otherwise the test above would compare PyTorch with itself."""
-    called = []
+    called, names = [], ("condition", "sample", "log_prob", "log_prob_gradient")
     with kernels.using(variant):
         library = kernels.library("cpu")
-        for name in ("gaussian_sample", "gaussian_log_prob", "gaussian_log_prob_gradient"):
-            monkeypatch.setattr(library, name, lambda *_, name=name: called.append(name))
-        policy = Gaussian(action_space(2, True), outputs_of(2))
-        policy.log_prob_gradient(policy.sample(torch.zeros(P, B, 3, 2)), policy.log_prob(torch.zeros(P, B, 3, 2)))
-    assert called == ["gaussian_sample", "gaussian_log_prob", "gaussian_log_prob_gradient"]
+        for name in names:
+            monkeypatch.setattr(library, f"gaussian_{name}", lambda *_, name=name: called.append(name))
+        policy, actions = Gaussian(action_space(4, True), outputs_of(4)), torch.zeros(P, B, 4, 4)
+        policy.log_prob_gradient(policy.sample(actions), policy.log_prob(actions))
+    assert called == list(names)
 
 
-def test_what_a_kernel_would_misread_is_refused(variant):
+def test_outputs_and_actions_of_another_size_are_refused(variant):
+    space = action_space(2, True)
+    with kernels.using(variant):
+        for width in (2, 3, 5):
+            with pytest.raises(ValueError, match=r"must be \[P, B, 4\]"):
+                Gaussian(space, torch.zeros(P, B, width))
+        policy = Gaussian(space, outputs_of(2))
+        for wrong in (torch.zeros(P, B + 1, 3, 2), torch.zeros(P, B, 3, 3)):
+            with pytest.raises(RuntimeError):
+                policy.sample(wrong)
+
+
+def test_whole_numbers_bound_an_action_space_as_well(variant):
+    with kernels.using(variant):
+        actions = Gaussian(Continuous((-3,), (3,)), outputs_of(1)).sample(torch.full((P, B, 1, 1), 1e6))
+    assert actions[0].eq(3).all()
+
+
+def test_what_is_computed_from_a_policy_is_its_own(variant):
     with kernels.using(variant):
         policy = Gaussian(action_space(2, True), outputs_of(2))
-    for wrong in (torch.zeros(P, B, 3, 1), torch.zeros(P, B + 1, 3, 2), torch.zeros(P, B, 3, 2).double(), torch.zeros(P, B, 2)):
-        with pytest.raises(ValueError, match=r"must be \[3, 7, N, 2\]"):
-            policy.sample(wrong)
-    with pytest.raises(ValueError, match="weights"):
-        policy.log_prob_gradient(torch.zeros(P, B, 3, 2), torch.zeros(P, B, 2))
+    with pytest.raises(AttributeError):
+        policy.std = torch.ones(P, B, 2)
+
+
+def test_a_policy_that_is_kept_is_kept_in_checkpoints(variant):
+    space, noise = action_space(2, True), torch.zeros(P, B, 1, 2)
+    with kernels.using(variant):
+        one, other = Gaussian(space, outputs_of(2)), Gaussian(space, outputs_of(2, seed=1))
+        state = {name: np.copy(value) for name, value in checkpoint.collect({"policy": one}).items()}
+        assert not same(one.sample(noise), other.sample(noise))
+        checkpoint.restore({"policy": other}, state)
+        assert same(one.sample(noise), other.sample(noise))
+
+
+def test_actions_and_weights_of_a_users_own_are_differentiated_by_autograd(variant):
+    with kernels.using(variant):
+        policy = Gaussian(action_space(1, True), torch.zeros(P, B, 2))
+    actions = torch.full((P, B, 1, 1), 0.5, requires_grad=True)
+    policy.log_prob(actions).sum().backward()
+    torch.testing.assert_close(actions.grad, torch.full((P, B, 1, 1), -0.5))  # −(a − μ)/σ²
+    weights = torch.ones(P, B, 1, requires_grad=True)
+    policy.log_prob_gradient(actions.detach(), weights)[..., 0].sum().backward()
+    torch.testing.assert_close(weights.grad, torch.full((P, B, 1), 0.5 * 2))  # (a − μ)/σ² · ∂μ/∂m
 
 
 @pytest.mark.parametrize("policy", [Gaussian, SquashedGaussian])

@@ -96,6 +96,8 @@ def test_what_regress_would_misread_is_refused(engine):
         made.regress(x, y.double(), optimizer)
     with pytest.raises(ValueError, match=r"targets \(3, 5, 2\) for inputs \(3, 4, 3\)"):
         made.regress(x, torch.zeros(P, 5, 2), optimizer)
+    with pytest.raises(ValueError, match=r"targets \(3, 0, 2\) for inputs \(3, 0, 3\)"):
+        made.regress(x[:, :0], y[:, :0], optimizer)
     with pytest.raises(ValueError, match="must be dense, and alike"):
         made.regress(x, y, optimizer, Follower(made.parameters[:, :5], torch.ones(P, 1)))
     assert torch.equal(made.parameters, before)

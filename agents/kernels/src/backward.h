@@ -132,7 +132,8 @@ struct Follower {
   const float *rates;
 };
 
-// Floats of scratch memory for `descend` and `regress`: a gradient, an agent's activations and outputs, and the backward pass's.
+// Floats of scratch memory for `descend` and `regress`: a gradient, an agent's activations, outputs and their gradient, and the
+// backward pass's.
 INLINE int64_t training_scratch(const Network &net, int64_t batch) {
   return net.size + activations_size(net, batch) + backward_scratch(net, batch) + 2 * batch * net.outputs;
 }
