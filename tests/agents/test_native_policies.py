@@ -64,6 +64,7 @@ def test_samples_densities_and_gradients_are_pytorchs_bit_for_bit(variant, size,
                 policy.log_prob_gradient(first, weights[:, :, -1:]),
                 policy.log_prob_gradient(actions.transpose(0, 1).contiguous().transpose(0, 1), weights),
                 policy.sample(noise[:, :, ::2]),
+                policy.sample(noise[:, :, :1].repeat_interleave(2, dim=3)[..., ::2]),
                 policy.sample(noise[:, :, : max(1, count - 1)]),
                 policy.log_prob(noise.transpose(2, 3).contiguous().transpose(2, 3)),
                 policy.log_prob_gradient(actions, weights[:, :, :1]),  # one for all samples of a state
