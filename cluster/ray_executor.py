@@ -9,7 +9,6 @@ import os
 import signal
 import socket
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -18,9 +17,15 @@ from typing import Any
 os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
 os.environ.setdefault("RAY_AUTH_MODE", "token")
 os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
-# The log monitor of a Ray that is started here would look for new files ten times a second, on cores that train, for nobody.
+# What a Ray that is started here does ten times a second, on cores that train: its log monitor looks for new files for nobody,
+# and once a second is enough for the rest.
 os.environ.setdefault("RAY_LOG_MONITOR_MANY_FILES_THRESHOLD", "0")
 os.environ.setdefault("LOG_NAME_UPDATE_INTERVAL_S", "inf")
+os.environ.setdefault("RAY_raylet_check_gc_period_milliseconds", "1000")
+os.environ.setdefault("RAY_raylet_report_resources_period_milliseconds", "1000")
+os.environ.setdefault("RAY_object_manager_timer_freq_ms", "1000")
+os.environ.setdefault("RAY_local_fs_monitor_interval_ms", "1000")
+os.environ.setdefault("RAY_kill_idle_workers_interval_ms", "1000")
 
 import ray
 from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
@@ -32,7 +37,6 @@ from sweep.messages import UserError
 _OBJECT_STORE_BYTES = 100 * 2**20
 _MAX_RETRIES = 2  # whatever still dies then is tried in parts (`cluster.backlog`)
 _CONNECT_SECONDS = 10.0
-_WAIT_SECONDS = 0.1
 
 
 def check_address(address: str) -> None:
@@ -106,6 +110,7 @@ class RayExecutor:
         self._task = ray.remote(num_cpus=1, max_retries=_MAX_RETRIES)(_run_shard).options(name="run_shard")
         self._umask = umask
         self._running: dict[ray.ObjectRef, Work] = {}
+        self._news = threading.Event()  # set when a task has ended
 
     def gather(self, function: Callable[[Argument], Result], argument: Argument, copies: int) -> list[Result]:
         task = ray.remote(num_cpus=1, max_retries=0)(function).options(
@@ -114,17 +119,17 @@ class RayExecutor:
         return ray.get([task.remote(argument) for _ in range(copies)])
 
     def submit(self, work: Work) -> None:
-        self._running[self._task.remote(work, self._umask)] = work
+        reference = self._task.remote(work, self._umask)
+        self._running[reference] = work
+        reference.future().add_done_callback(lambda _future: self._news.set())
 
     def wait(self, seconds: float) -> list[Receipt]:
         if not self._running:
             return []
+        self._news.wait(seconds)  # not in `ray.wait`: a Ctrl-C is heard at once, and two of them are two
+        self._news.clear()
         running = list(self._running)
-        ready, _ = ray.wait(running, num_returns=len(running), timeout=0)
-        deadline = time.monotonic() + seconds
-        while not ready and (left := deadline - time.monotonic()) > 0:
-            # in short waits: two Ctrl-C that arrive during one are one to Python
-            ready, _ = ray.wait(running, num_returns=1, timeout=min(left, _WAIT_SECONDS))
+        ready, _ = ray.wait(running, num_returns=len(running), timeout=0, fetch_local=False)
         receipts: list[Receipt] = []
         for reference in ready:
             try:

@@ -1,12 +1,14 @@
-"""What two workers gain over one through `sweep launch`, and what surrounds the training: Ray, Parquet, processes, scheduling.
+"""What two cores gain over one through `sweep launch`, and what surrounds the training: Ray, Parquet, processes, scheduling.
 
-    python tests/benchmarks/launch_scaling.py [--trials 384] [--steps 10000] [--slice 10] [--in-turns 0] [--json FILE]
+    python tests/benchmarks/launch_scaling.py [--trials 384] [--steps 10000] [--slice 10] [--spare-core] [--in-turns 0] [--json F]
 
-The same trials (Pendulum with continuous actions, three hidden layers of 64) are launched on one worker and on two, each into a
-new store. Pilots run before: what they find is kept for every later launch.
+The same trials (Pendulum with continuous actions, three hidden layers of 64) are launched on one core, with one worker, and on
+two cores, with two workers, each into a new store. All of a launch is on its cores: the command, Ray, the workers. Pilots run
+before: what they find is kept for every later launch. `--spare-core` launches a third time, with one worker on two cores:
+whatever is not training then has a core of its own.
 
 A machine that others use, too, drifts by ten per cent from one minute to the next, more than what is to be measured. So the
-launches alternate: every ten seconds one of them is frozen (SIGSTOP to all of its processes) and the other one goes on. Each is
+launches alternate: every ten seconds one of them is frozen (SIGSTOP to all of its processes) and the next one goes on. Each is
 timed by the slices it had, from its first process to the end of its last.
 
 `--in-turns N` launches them N times one after the other instead, undisturbed, and says from the stores' own columns how much of
@@ -21,9 +23,11 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from statistics import median
+from typing import NamedTuple
 
 import pyarrow.parquet as pq
 
@@ -45,15 +49,32 @@ SETTINGS = 6
 COMMAND = (sys.executable, "-c", "from sweep.cli import main; main()")
 
 
-class Launch:
-    """`sweep launch` on so many workers, with all of its processes: frozen and thawed together, timed while it is not frozen."""
+class Where(NamedTuple):
+    """How many workers a launch has, on how many cores."""
 
-    def __init__(self, folder: Path, workers: int, store: str) -> None:
-        self.workers, self.store, self.seconds = workers, folder / store, 0.0
-        arguments = ("launch", "grid.toml", "--yes", "--num-cpus", str(workers), "--store", store)
+    workers: int
+    cores: int
+
+
+ONE_CORE, TWO_CORES, CORE_TO_SPARE = Where(1, 1), Where(2, 2), Where(1, 2)
+
+
+class Launch:
+    """`sweep launch` with all of its processes on so many cores: frozen and thawed together, timed while it is not frozen."""
+
+    def __init__(self, folder: Path, where: Where, store: str) -> None:
+        self.where, self.store, self.seconds = where, folder / store, 0.0
+        arguments = ("launch", "grid.toml", "--yes", "--num-cpus", str(where.workers), "--store", store)
+        cores = sorted(os.sched_getaffinity(0))[: where.cores]
         self._output = open(folder / f"{store}.txt", "w+")  # noqa: SIM115  (it outlives this method)
         self._running_since: float | None = time.perf_counter()
-        self._process = subprocess.Popen([*COMMAND, *arguments], cwd=folder, stdout=self._output, stderr=self._output)
+        self._process = subprocess.Popen(
+            [*COMMAND, *arguments],
+            cwd=folder,
+            stdout=self._output,
+            stderr=self._output,
+            preexec_fn=lambda: os.sched_setaffinity(0, cores),  # what it starts inherits that
+        )
 
     def run(self, seconds: float | None = None) -> bool:
         """Go on for so long, or to the end; return whether it has ended. Raises SystemExit when it failed."""
@@ -69,7 +90,7 @@ class Launch:
         self._running_since = None
         if self._process.returncode:
             self._output.seek(0)
-            raise SystemExit(f"the launch on {self.workers} workers failed:\n{self._output.read()}")
+            raise SystemExit(f"the launch with {self.where} failed:\n{self._output.read()}")
         return ended
 
     def kill(self) -> None:
@@ -98,10 +119,10 @@ class Launch:
         }
 
     def report(self) -> dict[str, float]:
-        """Return its workers, seconds, agent-steps a second and what the store says."""
+        """Return its workers, cores, seconds, agent-steps a second and what the store says."""
         found = self.trials()
         return {
-            "workers": self.workers,
+            **self.where._asdict(),
             "seconds": self.seconds,
             "agent_steps_per_second": found["agent_steps"] / self.seconds,
             **found,
@@ -119,12 +140,12 @@ def descendants(ancestor: int) -> set[int]:
     return found
 
 
-def interleaved(folder: Path, seconds: float) -> list[dict[str, float]]:
-    """Launch on one worker and on two, slice by slice; return a report of each."""
+def interleaved(folder: Path, wheres: Sequence[Where], seconds: float) -> list[dict[str, float]]:
+    """Launch once each, slice by slice; return a report of each."""
     launches, going = [], []
     try:
-        for workers in (1, 2):
-            launches.append(Launch(folder, workers, f"store-{workers}"))
+        for where in wheres:
+            launches.append(Launch(folder, where, f"store-{where.workers}-{where.cores}"))
             going.append(launches[-1])
             if launches[-1].run(10.0):  # a Ray that starts is not to be frozen
                 going.pop()
@@ -136,15 +157,15 @@ def interleaved(folder: Path, seconds: float) -> list[dict[str, float]]:
     return [launch.report() for launch in launches]
 
 
-def in_turns(folder: Path, pairs: int) -> list[dict[str, float]]:
-    """Launch on one worker, then on two, then on two, then on one, …; return a report of each, with the share of training."""
+def in_turns(folder: Path, wheres: Sequence[Where], times: int) -> list[dict[str, float]]:
+    """Launch one after the other, then in the opposite order, …; return a report of each, with the share of training."""
     found = []
-    for turn in range(pairs):
-        for workers in (1, 2) if turn % 2 == 0 else (2, 1):
-            launch = Launch(folder, workers, f"store-{workers}-{turn}")
+    for turn in range(times):
+        for where in wheres if turn % 2 == 0 else wheres[::-1]:
+            launch = Launch(folder, where, f"store-{where.workers}-{where.cores}-{turn}")
             launch.run()
             one = launch.report()
-            found.append({**one, "around": 1 - one["training_seconds"] / (workers * one["seconds"])})
+            found.append({**one, "around": 1 - one["training_seconds"] / (where.workers * one["seconds"])})
     return found
 
 
@@ -153,7 +174,8 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=384)
     parser.add_argument("--steps", type=int, default=10_000)
     parser.add_argument("--slice", type=float, default=10.0, help="seconds before the other launch has its turn")
-    parser.add_argument("--in-turns", type=int, default=0, metavar="N", help="so many pairs, one launch after the other")
+    parser.add_argument("--in-turns", type=int, default=0, metavar="N", help="so many times, one launch after the other")
+    parser.add_argument("--spare-core", action="store_true", help="launch one worker on two cores, too")
     parser.add_argument("--algorithm", default="GreedyAC")
     parser.add_argument("--json", type=Path, help="write the results there too")
     arguments = parser.parse_args()
@@ -165,13 +187,19 @@ def main() -> None:
             subprocess.run(
                 [*COMMAND, "plan", "grid.toml", "--num-cpus", workers], cwd=folder, stdout=subprocess.DEVNULL, check=True
             )
-        found = in_turns(folder, arguments.in_turns) if arguments.in_turns else interleaved(folder, arguments.slice)
+        wheres = (ONE_CORE, TWO_CORES, *([CORE_TO_SPARE] if arguments.spare_core else []))
+        times, slice_seconds = arguments.in_turns, arguments.slice
+        found = in_turns(folder, wheres, times) if times else interleaved(folder, wheres, slice_seconds)
     for one in found:
         around = f", around training {one['around']:.1%}" if "around" in one else ""
         rate = f"{one['agent_steps_per_second']:,.0f} agent-steps/s"
-        print(f"workers: {one['workers']}, {one['seconds']:.1f} s, {rate}, {one['shards']} shards{around}")
-    alone, beside = ([one["seconds"] for one in found if one["workers"] == workers] for workers in (1, 2))
-    print(f"two workers {median(a / b for a, b in zip(alone, beside, strict=True)):.3f} x one")
+        launched = f"workers: {one['workers']}, cores: {one['cores']}"
+        print(f"{launched}, {one['seconds']:.1f} s, {rate}, {one['shards']} shards{around}")
+    seconds = {where: [one["seconds"] for one in found if (one["workers"], one["cores"]) == where] for where in wheres}
+    for where, name in ((ONE_CORE, "one core"), (CORE_TO_SPARE, "one worker with a core to spare")):
+        if where in seconds:
+            ratio = median(alone / both for alone, both in zip(seconds[where], seconds[TWO_CORES], strict=True))
+            print(f"two cores {ratio:.3f} x {name}")
     if arguments.json:
         arguments.json.write_text(json.dumps(found, indent=1))
 

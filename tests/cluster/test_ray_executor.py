@@ -106,6 +106,42 @@ def test_a_function_runs_in_several_workers_at_once_and_what_it_raises_is_raised
         executor.close()
 
 
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
+def test_every_interrupt_is_heard_at_once_while_a_shard_is_waited_for_and_its_end_ends_the_wait(monkeypatch):
+    heard = []
+
+    def nap(seconds, _umask):
+        time.sleep(seconds)
+        return seconds
+
+    def interrupt_three_times():
+        for number in range(3):
+            os.kill(os.getpid(), signal.SIGINT)
+            deadline = time.monotonic() + 0.5
+            while len(heard) <= number and time.monotonic() < deadline:
+                time.sleep(0.01)
+
+    monkeypatch.setattr("cluster.ray_executor._run_shard", nap)
+    before = signal.signal(signal.SIGINT, lambda number, _frame: heard.append(number))
+    try:
+        executor = start_ray()
+        try:
+            executor.submit(0.0)
+            began = time.monotonic()
+            assert executor.wait(60.0) == [0.0]
+            assert time.monotonic() - began < 50.0
+            executor.submit(60.0)
+            thread = threading.Thread(target=interrupt_three_times)
+            thread.start()
+            assert executor.wait(2.0) == []
+            thread.join()
+            assert len(heard) == 3
+        finally:
+            executor.close()
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
 @pytest.mark.parametrize(
     ("address", "message"), [("127.0.0.1:1", "no Ray cluster answers there"), ("nonsense", "must be HOST:PORT")]
 )
