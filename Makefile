@@ -49,7 +49,7 @@ bench: $(VENV)/installed-dev  ## agent-steps a second: populations against a pla
 bench-analysis: $(VENV)/installed-dev  ## how fast figures, tables and queries of a store of the thesis' size are
 	$(BIN)/python tests/benchmarks/analysis_speed.py --folder build/full-size --json bench-analysis.json
 
-bench-launch: $(VENV)/installed-dev  ## what two workers gain over one through `sweep launch`
+bench-launch: $(VENV)/installed-dev  ## what two cores gain over one through `sweep launch`, in 25 minutes
 	$(BIN)/python tests/benchmarks/launch_scaling.py --json bench-launch.json
 
 bench-gpu:  ## the same on a CUDA device, checked against the CPU; needs torch and numpy only, in whatever Python PYTHON is

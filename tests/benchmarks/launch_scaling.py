@@ -1,6 +1,6 @@
 """What two cores gain over one through `sweep launch`, and what surrounds the training: Ray, Parquet, processes, scheduling.
 
-    python tests/benchmarks/launch_scaling.py [--trials 384] [--steps 10000] [--slice 10] [--spare-core] [--in-turns 0] [--json F]
+    python tests/benchmarks/launch_scaling.py [--trials 768] [--steps 12000] [--slice 10] [--spare-core] [--in-turns 0] [--json F]
 
 The same trials (Pendulum with continuous actions, three hidden layers of 64) are launched on one core, with one worker, and on
 two cores, with two workers, each into a new store. All of a launch is on its cores: the command, Ray, the workers. Pilots run
@@ -171,8 +171,8 @@ def in_turns(folder: Path, wheres: Sequence[Where], times: int) -> list[dict[str
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--trials", type=int, default=384)
-    parser.add_argument("--steps", type=int, default=10_000)
+    parser.add_argument("--trials", type=int, default=768)
+    parser.add_argument("--steps", type=int, default=12_000)
     parser.add_argument("--slice", type=float, default=10.0, help="seconds before the other launch has its turn")
     parser.add_argument("--in-turns", type=int, default=0, metavar="N", help="so many times, one launch after the other")
     parser.add_argument("--spare-core", action="store_true", help="launch one worker on two cores, too")
