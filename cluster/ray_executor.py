@@ -17,8 +17,8 @@ from typing import Any
 os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
 os.environ.setdefault("RAY_AUTH_MODE", "token")
 os.environ.setdefault("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
-# What a Ray that is started here does ten times a second, on cores that train: its log monitor looks for new files for nobody,
-# and once a second is enough for the rest.
+# What a Ray that is started here does five or ten times a second, on cores that train: its log monitor looks for new files for
+# nobody, and once a second is enough for the rest.
 os.environ.setdefault("RAY_LOG_MONITOR_MANY_FILES_THRESHOLD", "0")
 os.environ.setdefault("LOG_NAME_UPDATE_INTERVAL_S", "inf")
 os.environ.setdefault("RAY_raylet_check_gc_period_milliseconds", "1000")
@@ -129,7 +129,7 @@ class RayExecutor:
         self._news.wait(seconds)  # not in `ray.wait`: a Ctrl-C is heard at once, and two of them are two
         self._news.clear()
         running = list(self._running)
-        ready, _ = ray.wait(running, num_returns=len(running), timeout=0, fetch_local=False)
+        ready, _ = ray.wait(running, num_returns=len(running), timeout=0)
         receipts: list[Receipt] = []
         for reference in ready:
             try:

@@ -46,7 +46,7 @@ hidden_layers = [[64, 64, 64]]
 name = "{algorithm}"
 """
 SETTINGS = 6
-COMMAND = (sys.executable, "-c", "from sweep.cli import main; main()")
+COMMAND = "from sweep.cli import main; main()"
 
 
 class Where(NamedTuple):
@@ -65,16 +65,11 @@ class Launch:
     def __init__(self, folder: Path, where: Where, store: str) -> None:
         self.where, self.store, self.seconds = where, folder / store, 0.0
         arguments = ("launch", "grid.toml", "--yes", "--num-cpus", str(where.workers), "--store", store)
-        cores = sorted(os.sched_getaffinity(0))[: where.cores]
+        confined = f"import os; os.sched_setaffinity(0, {cores()[: where.cores]}); {COMMAND}"  # what it starts inherits that
         self._output = open(folder / f"{store}.txt", "w+")  # noqa: SIM115  (it outlives this method)
         self._running_since: float | None = time.perf_counter()
-        self._process = subprocess.Popen(
-            [*COMMAND, *arguments],
-            cwd=folder,
-            stdout=self._output,
-            stderr=self._output,
-            preexec_fn=lambda: os.sched_setaffinity(0, cores),  # what it starts inherits that
-        )
+        command = (sys.executable, "-c", confined, *arguments)
+        self._process = subprocess.Popen(command, cwd=folder, stdout=self._output, stderr=self._output)
 
     def run(self, seconds: float | None = None) -> bool:
         """Go on for so long, or to the end; return whether it has ended. Raises SystemExit when it failed."""
@@ -127,6 +122,17 @@ class Launch:
             "agent_steps_per_second": found["agent_steps"] / self.seconds,
             **found,
         }
+
+
+def cores() -> list[int]:
+    """Return the processors that this process may use, one of each core. Raises SystemExit when they are not two at least."""
+    found: dict[str, int] = {}
+    for processor in sorted(os.sched_getaffinity(0)):
+        siblings = Path(f"/sys/devices/system/cpu/cpu{processor}/topology/thread_siblings_list")
+        found.setdefault(siblings.read_text() if siblings.exists() else str(processor), processor)
+    if len(found) < 2:
+        raise SystemExit("this needs two cores")
+    return list(found.values())
 
 
 def descendants(ancestor: int) -> set[int]:
@@ -185,7 +191,10 @@ def main() -> None:
         (folder / "grid.toml").write_text(GRID.format(steps=arguments.steps, seeds=seeds, algorithm=arguments.algorithm))
         for workers in ("1", "2"):
             subprocess.run(
-                [*COMMAND, "plan", "grid.toml", "--num-cpus", workers], cwd=folder, stdout=subprocess.DEVNULL, check=True
+                [sys.executable, "-c", COMMAND, "plan", "grid.toml", "--num-cpus", workers],
+                cwd=folder,
+                stdout=subprocess.DEVNULL,
+                check=True,
             )
         wheres = (ONE_CORE, TWO_CORES, *([CORE_TO_SPARE] if arguments.spare_core else []))
         times, slice_seconds = arguments.in_turns, arguments.slice
